@@ -1,0 +1,1 @@
+"""LTLf formulas, their automata, and the boolean algebra of guards."""
