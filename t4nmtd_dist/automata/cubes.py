@@ -10,9 +10,13 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from t4nmtd_dist.errors import ConfigError
+
 Cube = tuple[str, ...]
 Guard = tuple[Cube, ...]
 TruthTable = NDArray[np.bool_]
+
+SUPPORT_LIMIT = 14
 
 
 def irredundant_cover(table: TruthTable, propositions: tuple[str, ...]) -> Guard:
@@ -22,13 +26,80 @@ def irredundant_cover(table: TruthTable, propositions: tuple[str, ...]) -> Guard
     return tuple(sorted(named, key=lambda cube: (len(cube), cube)))
 
 
+def prime_implicants(on: TruthTable, dont_care: TruthTable, propositions: tuple[str, ...]) -> Guard:
+    """The prime implicants of ``on | dont_care`` that hold in some letter of ``on``.
+
+    All 3**n cubes over the n propositions that matter are weighed at once in one array.
+
+    Args:
+        on: letters in which the function must hold, shape (2**len(propositions),).
+        dont_care: letters that may be counted either way, same shape; those also in ``on`` stay in ``on``.
+        propositions: their names, the lowest bit of a letter first.
+
+    Returns:
+        The cubes, shortest first; none if ``on`` is empty.
+
+    Raises:
+        ConfigError: if the function depends on more than 14 propositions.
+    """
+    if not on.any():
+        return ()
+    implied, required, support = _project(on | dont_care, on, len(propositions))
+    if len(support) > SUPPORT_LIMIT:
+        raise ConfigError(
+            f"a guard depends on {len(support)} propositions at once; expected at most {SUPPORT_LIMIT}: "
+            "split the task or leave out propositions that it does not need"
+        )
+    prime = _prime_table(implied, required, len(support))
+    names = [propositions[i] for i in support]
+    cubes = (
+        tuple(_literal(name, digit == 1) for name, digit in zip(names, digits, strict=True) if digit < 2)
+        for digits in np.argwhere(prime).tolist()
+    )
+    return tuple(sorted(cubes, key=lambda cube: (len(cube), cube)))
+
+
+def cube_text(cube: Cube) -> str:
+    """A cube for human readers: ``p & ~q``, or ``true`` for the empty one."""
+    return " & ".join(cube) if cube else "true"
+
+
+def guard_text(guard: Guard) -> str:
+    """A guard for human readers: ``p & ~q | r``, or ``false`` if no cube is left."""
+    return " | ".join(map(cube_text, guard)) if guard else "false"
+
+
+def _project(table: TruthTable, kept: TruthTable, n: int) -> tuple[TruthTable, TruthTable, list[int]]:
+    """Both tables with one axis per proposition that ``table`` depends on, and those propositions.
+
+    ``kept`` holds in a projected letter if it holds in some letter that projects there.
+    """
+    # Bit i of a letter is axis n - 1 - i of the reshaped table; the transpose puts proposition i on axis i.
+    table, kept = (t.reshape((2,) * n).transpose() for t in (table, kept))
+    support = [i for i in range(n) if not np.array_equal(table.take(0, axis=i), table.take(1, axis=i))]
+    others = tuple(i for i in range(n) if i not in support)
+    return np.asarray(table.all(axis=others)), np.asarray(kept.any(axis=others)), support
+
+
+def _prime_table(implied: TruthTable, required: TruthTable, n: int) -> TruthTable:
+    """Which of the 3**n cubes are prime implicants: axis i is 0 for ``~p``, 1 for ``p``, 2 for neither."""
+    for i in range(n):
+        no, yes = np.split(implied, 2, axis=i)
+        implied = np.concatenate([no, yes, no & yes], axis=i)
+        no, yes = np.split(required, 2, axis=i)
+        required = np.concatenate([no, yes, no | yes], axis=i)
+    prime = implied & required
+    for i in range(n):
+        wider = implied.take([2], axis=i)
+        prime &= np.concatenate([~wider, ~wider, np.ones_like(wider)], axis=i)
+    return prime
+
+
 def _literal(name: str, value: bool) -> str:
     return name if value else f"~{name}"
 
 
-def _isop(
-    lower: TruthTable, upper: TruthTable, variable: int
-) -> tuple[list[tuple[tuple[int, bool], ...]], TruthTable]:
+def _isop(lower: TruthTable, upper: TruthTable, variable: int) -> tuple[list[tuple[tuple[int, bool], ...]], TruthTable]:
     """Cubes whose union lies between ``lower`` and ``upper``, and that union as a truth table."""
     if not lower.any():
         return [], np.zeros_like(lower)

@@ -101,7 +101,8 @@ class DFA:
 
     def letters(self, source: int, target: int) -> NDArray[np.bool_]:
         """Truth table of a guard: bool array of shape (2**|AP|,), true where delta(source, letter) = target."""
-        return self.delta[source] == target
+        table: NDArray[np.bool_] = np.equal(self.delta[source], target)
+        return table
 
     def accepts(self, trace: Iterable[Iterable[str]]) -> bool:
         """Whether the automaton accepts a non-empty trace of label sets."""

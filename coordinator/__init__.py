@@ -1,0 +1,1 @@
+"""The coordinator: automaton, sub-task Q table, initial-state buffers, leases and evaluations."""

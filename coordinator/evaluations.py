@@ -1,0 +1,115 @@
+"""When to evaluate the global policy, and when the task counts as solved or converged."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from t4nmtd_dist.config import EvaluationConfig
+from t4nmtd_dist.high_level import QEntries
+from t4nmtd_dist.wire.messages import EvaluationReport, EvaluationRow
+
+CONVERGED_LENGTH_SPREAD = 0.1
+
+
+@dataclass(frozen=True)
+class PolicySnapshot:
+    """The composed policy as it was when an evaluation was handed out: weights by pid, and Q.
+
+    Attributes:
+        interactions: environment steps of all learners up to then.
+    """
+
+    job: int
+    interactions: int
+    q_table: QEntries
+    versions: dict[str, int]
+    weights: Mapping[str, Mapping[str, NDArray[Any]]]
+
+
+@dataclass
+class EvaluationSchedule:
+    """Hands out evaluations on fresh weights and counts how many in a row were perfect."""
+
+    config: EvaluationConfig
+    history: list[EvaluationRow] = field(default_factory=list)
+    pending: PolicySnapshot | None = None
+    last: PolicySnapshot | None = None
+    _jobs: int = 0
+    _handed_at: int = 0
+    _handed_versions: dict[str, int] = field(default_factory=dict)
+
+    def due(self, interactions: int, versions: Mapping[str, int], training: frozenset[str]) -> bool:
+        """Whether enough was learned since the last evaluation for one on fresh weights.
+
+        Args:
+            interactions: environment steps so far.
+            versions: newest weights by pid.
+            training: sub-tasks whose learner is alive and training; each must have newer weights.
+        """
+        if not versions or interactions < self._handed_at + self.config.every:
+            return False
+        newer = [version > self._handed_versions.get(pid, 0) for pid, version in versions.items() if pid in training]
+        return any(newer) and all(newer)
+
+    def hand_out(
+        self,
+        interactions: int,
+        q_table: QEntries,
+        versions: Mapping[str, int],
+        weights: Mapping[str, Mapping[str, NDArray[Any]]],
+    ) -> PolicySnapshot:
+        """The next evaluation's policy."""
+        self._jobs += 1
+        self._handed_at = interactions
+        self._handed_versions = dict(versions)
+        self.pending = PolicySnapshot(self._jobs, interactions, q_table, dict(versions), dict(weights))
+        return self.pending
+
+    def report(self, report: EvaluationReport, elapsed_s: float) -> EvaluationRow | None:
+        """Record a result; None if it is not the one waited for."""
+        if self.pending is None or report.job != self.pending.job:
+            return None
+        self.last, self.pending = self.pending, None
+        row = EvaluationRow(
+            job=report.job,
+            interactions=self.last.interactions,
+            elapsed_s=elapsed_s,
+            success_rate=report.success_rate,
+            mean_length=report.mean_length,
+            std_length=report.std_length,
+            mean_return=report.mean_return,
+            dfa_path=report.dfa_path,
+        )
+        self.history.append(row)
+        return row
+
+    @property
+    def in_a_row(self) -> int:
+        """Evaluations at 100 % since the last that was not."""
+        count = 0
+        for row in reversed(self.history):
+            if row.success_rate < 1.0:
+                break
+            count += 1
+        return count
+
+    @property
+    def solved(self) -> bool:
+        """Whether enough evaluations in a row were perfect."""
+        return self.in_a_row >= self.config.in_a_row
+
+    @property
+    def converged(self) -> bool:
+        """Solved, and the mean episode length of those evaluations spreads by less than 10 %."""
+        lengths = [row.mean_length for row in self.history[-self.config.in_a_row :]]
+        return self.solved and float(np.std(lengths)) < CONVERGED_LENGTH_SPREAD * float(np.mean(lengths))
+
+    @property
+    def solved_at(self) -> int | None:
+        """Interactions at the first of the evaluations that solved the task; None while unsolved."""
+        return self.history[-self.config.in_a_row].interactions if self.solved else None

@@ -1,0 +1,82 @@
+"""Leases: who may learn a sub-task. Each takeover raises the epoch; older epochs have nothing to say any more."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass, replace
+
+
+@dataclass(frozen=True)
+class Lease:
+    """A worker's right to a place until ``expires`` (seconds of the coordinator's clock)."""
+
+    place: str
+    epoch: int
+    holder: bytes
+    instance: str
+    heard: float
+    expires: float
+    endpoint: str
+
+
+class LeaseTable:
+    """The leases on a fixed set of places (sub-tasks, or the evaluator's).
+
+    Args:
+        places: what can be leased.
+        duration: seconds for which one heartbeat keeps a lease.
+    """
+
+    def __init__(self, places: Iterable[str], duration: float) -> None:
+        self.places = tuple(places)
+        self.duration = duration
+        self._leases: dict[str, Lease] = {}
+        self._epochs: dict[str, int] = dict.fromkeys(self.places, 0)
+
+    def get(self, place: str) -> Lease | None:
+        """The newest lease on a place, live or not."""
+        return self._leases.get(place)
+
+    def live(self, place: str, now: float) -> bool:
+        """Whether somebody holds the place now."""
+        lease = self._leases.get(place)
+        return lease is not None and lease.expires > now
+
+    def next_free(self, now: float) -> str | None:
+        """The first place without a live lease; places never held go first."""
+        free = [place for place in self.places if not self.live(place, now)]
+        return min(free, key=lambda place: (place in self._leases, self.places.index(place)), default=None)
+
+    def claim(self, place: str, holder: bytes, instance: str, endpoint: str, now: float) -> Lease | None:
+        """Lease a place; None while another instance's lease is live. The same instance starts a new epoch."""
+        old = self._leases.get(place)
+        if old is not None and old.expires > now and old.instance != instance:
+            return None
+        self._epochs[place] += 1
+        lease = Lease(place, self._epochs[place], holder, instance, now, now + self.duration, endpoint)
+        self._leases[place] = lease
+        return lease
+
+    def renew(self, place: str, epoch: int, holder: bytes, now: float) -> bool:
+        """A heartbeat; False if the epoch or the holder is not the newest."""
+        lease = self._leases.get(place)
+        if lease is None or lease.epoch != epoch or lease.holder != holder:
+            return False
+        self._leases[place] = replace(lease, heard=now, expires=now + self.duration)
+        return True
+
+    def release(self, place: str, epoch: int, holder: bytes) -> bool:
+        """Give a lease back; False if it was not the sender's."""
+        lease = self._leases.get(place)
+        if lease is None or lease.epoch != epoch or lease.holder != holder:
+            return False
+        self._leases[place] = replace(lease, expires=lease.heard)
+        return True
+
+    def holders(self, now: float) -> list[Lease]:
+        """All live leases."""
+        return [lease for lease in self._leases.values() if lease.expires > now]
+
+    def all(self) -> list[Lease]:
+        """The newest lease of every place that ever had one."""
+        return list(self._leases.values())

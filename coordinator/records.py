@@ -1,0 +1,86 @@
+"""What the coordinator knows of each learner, across all leases on its sub-task."""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+from numpy.typing import NDArray
+
+from t4nmtd_dist.initial_state_buffer import InitialStateBuffer
+from t4nmtd_dist.wire.messages import Intervention, LearnerStats
+
+RATE_WINDOW_S = 10.0
+
+
+def add_interventions(a: Intervention, b: Intervention) -> Intervention:
+    """Sums of two counts."""
+    return Intervention(
+        asked=a.asked + b.asked,
+        answered=a.answered + b.answered,
+        late=a.late + b.late,
+        own_used=a.own_used + b.own_used,
+        lag_total=a.lag_total + b.lag_total,
+    )
+
+
+@dataclass
+class LearnerRecord:
+    """One sub-task's learner.
+
+    Attributes:
+        buffer: the sub-task's initial-state buffer.
+        sequence: number of the last batch of progress applied in this epoch.
+        earlier: counts of finished epochs.
+        current: counts of this epoch.
+        version: newest weights held, 0 for none.
+    """
+
+    buffer: InitialStateBuffer
+    sequence: int = 0
+    earlier: LearnerStats = field(default_factory=LearnerStats)
+    current: LearnerStats = field(default_factory=LearnerStats)
+    version: int = 0
+    weights: Mapping[str, NDArray[Any]] = field(default_factory=dict)
+    _history: deque[tuple[float, int, int]] = field(default_factory=deque)
+
+    @property
+    def total(self) -> LearnerStats:
+        """Counts over all epochs; rates and phases are the newest."""
+        a, b = self.earlier, self.current
+        return LearnerStats(
+            phase=b.phase,
+            interactions=a.interactions + b.interactions,
+            gradient_steps=a.gradient_steps + b.gradient_steps,
+            attempts=a.attempts + b.attempts,
+            successes=a.successes + b.successes,
+            recent_success=b.recent_success,
+            episode_steps=b.episode_steps,
+            entropy=b.entropy,
+            value_loss=b.value_loss,
+            intervention=add_interventions(a.intervention, b.intervention),
+        )
+
+    def begin_epoch(self) -> None:
+        """A new lease: earlier counts are kept, the new worker counts from zero."""
+        self.earlier = self.total
+        self.current = LearnerStats()
+        self.sequence = 0
+        self._history.clear()
+
+    def update(self, stats: LearnerStats, now: float) -> None:
+        """Newest counts of this epoch."""
+        self.current = stats
+        self._history.append((now, stats.interactions, stats.gradient_steps))
+        while self._history[0][0] < now - RATE_WINDOW_S:
+            self._history.popleft()
+
+    def rates(self) -> tuple[float, float]:
+        """Environment steps and gradient steps per second over the last ten seconds."""
+        if len(self._history) < 2:
+            return 0.0, 0.0
+        (then, steps, updates), (now, steps_now, updates_now) = self._history[0], self._history[-1]
+        span = max(now - then, 1e-9)
+        return (steps_now - steps) / span, (updates_now - updates) / span

@@ -1,0 +1,322 @@
+"""The coordinator as a pure state machine (paper, Algorithm 1): events in, actions out; no sockets, no clock."""
+
+from __future__ import annotations
+
+from collections import deque
+from dataclasses import dataclass
+
+import numpy as np
+
+from coordinator.evaluations import EvaluationSchedule
+from coordinator.events import (
+    Action,
+    Event,
+    Finish,
+    Interrupted,
+    Outcome,
+    Received,
+    RecordEvaluation,
+    Send,
+    Tell,
+)
+from coordinator.leases import Lease, LeaseTable
+from coordinator.progress import ReceivedProgress, read_progress, stack_starts
+from coordinator.records import LearnerRecord
+from t4nmtd_dist.compiled import CompiledTask
+from t4nmtd_dist.errors import ProtocolError
+from t4nmtd_dist.initial_state_buffer import InitialStateBuffer
+from t4nmtd_dist.wire.codec import with_prefix, without_prefix
+from t4nmtd_dist.wire.messages import (
+    Claim,
+    EvaluationJob,
+    EvaluationPoll,
+    EvaluationReport,
+    EventLine,
+    Failure,
+    Goodbye,
+    Granted,
+    Peer,
+    Refused,
+    Release,
+    RunPhase,
+    Shutdown,
+    Sync,
+    SyncReply,
+)
+
+EVALUATOR = "evaluator"
+STARTS_PER_REPLY = 256
+EVENTS_KEPT = 50
+
+
+@dataclass(frozen=True)
+class RunSettings:
+    """What a run adds to its task.
+
+    Attributes:
+        boot_id: names this start of the coordinator, so that workers notice a restart.
+        lease_s: seconds of silence after which a worker counts as lost.
+    """
+
+    seed: int
+    max_interactions: int
+    boot_id: str
+    run_dir: str = ""
+    lease_s: float = 10.0
+
+
+class CoordinatorState:
+    """Owns the task, the Q table, the initial-state buffers, the leases, the newest weights and the counters.
+
+    Args:
+        task: the compiled task.
+        settings: the run's own settings.
+    """
+
+    def __init__(self, task: CompiledTask, settings: RunSettings) -> None:
+        self.task, self.settings = task, settings
+        self.high_level = task.q_table()
+        self.rng = np.random.default_rng([settings.seed, 2])
+        pids = task.decomposition.pids
+        capacity = task.config.learner.start_capacity
+        self.records = {pid: LearnerRecord(InitialStateBuffer(capacity)) for pid in pids}
+        self.leases = LeaseTable(pids, settings.lease_s)
+        self.evaluator_lease = LeaseTable([EVALUATOR], settings.lease_s)
+        self.evaluations = EvaluationSchedule(task.config.evaluation)
+        self.outcome: Outcome | None = None
+        self.events: deque[EventLine] = deque(maxlen=EVENTS_KEPT)
+        self.now = self.began = 0.0
+        self._clock_started = False
+        self._lost: set[str] = set()
+
+    @property
+    def elapsed_s(self) -> float:
+        """Seconds since the first event."""
+        return self.now - self.began
+
+    @property
+    def interactions(self) -> int:
+        """Environment steps of all learners together, evaluation excluded."""
+        return sum(r.earlier.interactions + r.current.interactions for r in self.records.values())
+
+    @property
+    def phase(self) -> RunPhase:
+        """Where the run stands."""
+        if self.outcome is not None:
+            return self.outcome
+        return "training" if self.interactions else "starting"
+
+    def handle(self, event: Event) -> list[Action]:
+        """Take one event; the actions are to be carried out in order."""
+        if not self._clock_started:
+            self.began, self._clock_started = event.now, True
+        self.now = event.now
+        if isinstance(event, Received):
+            return self._receive(event)
+        if isinstance(event, Interrupted):
+            return self._finish("stopped", event.reason)
+        return self._notice_lost()
+
+    def _receive(self, event: Received) -> list[Action]:
+        peer, envelope = event.peer, event.envelope
+        message = envelope.message
+        try:
+            if isinstance(message, Shutdown):
+                return self._finish("stopped", message.reason)
+            if self.outcome is not None:
+                return [Send(peer, Goodbye(reason=self.outcome), answers=envelope.id)]
+            if isinstance(message, Claim):
+                return self._claim(peer, message, envelope.id)
+            if isinstance(message, Sync):
+                return self._sync(event, message)
+            if isinstance(message, Release):
+                return self._release(peer, message)
+            if isinstance(message, EvaluationPoll):
+                return self._evaluation_poll(peer, message, envelope.id)
+            if isinstance(message, EvaluationReport):
+                return self._evaluation_report(peer, message)
+        except ProtocolError as error:
+            return [Send(peer, Failure(text=str(error)), answers=envelope.id)]
+        text = f"the coordinator does not take {type(message).__name__} messages"
+        return [Send(peer, Failure(text=text), answers=envelope.id)]
+
+    # Leases
+
+    def _claim(self, peer: bytes, claim: Claim, answers: int) -> list[Action]:
+        table = self.evaluator_lease if claim.role == "evaluator" else self.leases
+        place = EVALUATOR if claim.role == "evaluator" else claim.pid or table.next_free(self.now)
+        if place is None:
+            text = "every sub-task has a learner; standing by"
+            return [Send(peer, Refused(reason="nothing free", text=text, final=False), answers=answers)]
+        if place not in table.places:
+            text = f"unknown pid {place!r}; the sub-tasks of {self.task.config.name} are {', '.join(table.places)}"
+            return [Send(peer, Refused(reason="unknown pid", text=text, final=True, pid=place), answers=answers)]
+        before = table.get(place)
+        lease = table.claim(place, peer, claim.instance, claim.critic_endpoint, self.now)
+        if lease is None:
+            return [self._refuse_live(peer, place, before, answers)]
+        return self._grant(peer, claim, lease, answers)
+
+    def _refuse_live(self, peer: bytes, place: str, lease: Lease | None, answers: int) -> Send:
+        holder = lease.instance if lease else "another worker"
+        remaining = lease.expires - self.now if lease else 0.0
+        text = (
+            f"{place} is held by {holder}, whose lease is live for {remaining:.0f} s more; "
+            "stop that worker first, or start this one without --pid to stand by"
+        )
+        return Send(peer, Refused(reason="lease is live", text=text, final=True, pid=place), answers=answers)
+
+    def _grant(self, peer: bytes, claim: Claim, lease: Lease, answers: int) -> list[Action]:
+        record = self.records.get(lease.place)
+        if record is not None:
+            record.begin_epoch()
+            self._lost.discard(lease.place)
+        granted = Granted(
+            role=claim.role,
+            pid=lease.place,
+            epoch=lease.epoch,
+            boot_id=self.settings.boot_id,
+            lease_s=self.settings.lease_s,
+            seed=self.settings.seed,
+            task=self.task.config.to_dict(),
+            dfa=self.task.dfa.to_json(),
+            decomposition=self.task.decomposition.to_json(),
+            rho=[float(x) for x in self.task.rho],
+            version=record.version if record else 0,
+        )
+        arrays = with_prefix("weights.", record.weights) if record else {}
+        told = self._tell(f"{claim.instance} takes {lease.place} (epoch {lease.epoch})")
+        return [Send(peer, granted, arrays, answers), told]
+
+    def _release(self, peer: bytes, release: Release) -> list[Action]:
+        if not self.leases.release(release.pid, release.epoch, peer):
+            return []
+        return [self._tell(f"{release.pid} given back")]
+
+    def _notice_lost(self) -> list[Action]:
+        told: list[Action] = []
+        for lease in self.leases.all():
+            if lease.expires <= self.now and lease.place not in self._lost:
+                self._lost.add(lease.place)
+                silent = self.now - lease.heard
+                told.append(self._tell(f"{lease.place} lost: {lease.instance} silent for {silent:.0f} s"))
+        return told
+
+    # Learners
+
+    def _sync(self, event: Received, sync: Sync) -> list[Action]:
+        peer, answers = event.peer, event.envelope.id
+        if not self.leases.renew(sync.pid, sync.epoch, peer, self.now):
+            return [self._refuse_stale(peer, sync, answers)]
+        arrays = event.envelope.arrays
+        progress = read_progress(arrays, self.task.dfa.states)
+        record = self.records[sync.pid]
+        self._lost.discard(sync.pid)
+        if sync.sequence > record.sequence:
+            record.sequence = sync.sequence
+            self._apply(sync.pid, progress)
+        weights = without_prefix("weights.", arrays)
+        if weights and sync.version > record.version:
+            record.version, record.weights = sync.version, weights
+        record.update(sync.stats, self.now)
+        reply = self._reply(peer, sync, record, answers)
+        if self.interactions >= self.settings.max_interactions:
+            return [reply, *self._finish("budget spent", f"{self.interactions} interactions")]
+        return [reply]
+
+    def _refuse_stale(self, peer: bytes, sync: Sync, answers: int) -> Send:
+        lease = self.leases.get(sync.pid) if sync.pid in self.leases.places else None
+        if lease is None:
+            text = f"no lease on {sync.pid!r} is known here (the coordinator was started again); claim it again"
+        else:
+            text = f"epoch {sync.epoch} of {sync.pid} is over: {lease.instance} holds epoch {lease.epoch}"
+        return Send(
+            peer,
+            Refused(reason="stale epoch", text=text, final=lease is not None, pid=sync.pid),
+            answers=answers,
+        )
+
+    def _apply(self, pid: str, progress: ReceivedProgress) -> None:
+        for q, q_next, steps, reward in progress.changes:
+            if q_next < 0:
+                self.high_level.fail(q, pid)
+            else:
+                self.high_level.update(q, pid, reward, q_next, steps)
+        for q, state in progress.starts:
+            if q in self.task.terminal:
+                continue
+            chosen = self.high_level.choose(q, self.rng)
+            if chosen is not None:
+                self.records[chosen].buffer.add(q, state)
+
+    def _reply(self, peer: bytes, sync: Sync, record: LearnerRecord, answers: int) -> Send:
+        fresh = record.buffer.since(sync.start_cursor, STARTS_PER_REPLY)
+        reply = SyncReply(
+            pid=sync.pid,
+            epoch=sync.epoch,
+            accepted_sequence=record.sequence,
+            start_cursor=fresh[-1][0] if fresh else sync.start_cursor,
+            q_table=self.high_level.entries(),
+            peers=self._peers(sync.pid),
+        )
+        return Send(peer, reply, stack_starts([(q, state) for _, q, state in fresh]), answers)
+
+    def _peers(self, pid: str) -> dict[str, Peer]:
+        return {
+            lease.place: Peer(endpoint=lease.endpoint, version=self.records[lease.place].version, epoch=lease.epoch)
+            for lease in self.leases.holders(self.now)
+            if lease.place != pid and lease.endpoint
+        }
+
+    # Evaluations
+
+    def _evaluation_poll(self, peer: bytes, poll: EvaluationPoll, answers: int) -> list[Action]:
+        if not self.evaluator_lease.renew(EVALUATOR, poll.epoch, peer, self.now):
+            text = "this evaluator's place was taken by another, or the coordinator was started again"
+            return [Send(peer, Refused(reason="stale epoch", text=text, final=False), answers=answers)]
+        versions = {pid: record.version for pid, record in self.records.items() if record.version}
+        if not self.evaluations.due(self.interactions, versions, self._training()):
+            return [Send(peer, EvaluationJob(job=0), answers=answers)]
+        weights = {pid: self.records[pid].weights for pid in versions}
+        snapshot = self.evaluations.hand_out(self.interactions, self.high_level.entries(), versions, weights)
+        job = EvaluationJob(
+            job=snapshot.job,
+            interactions=snapshot.interactions,
+            q_table=snapshot.q_table,
+            versions=snapshot.versions,
+        )
+        arrays = {f"{pid}/weights.{name}": array for pid, named in weights.items() for name, array in named.items()}
+        return [Send(peer, job, arrays, answers)]
+
+    def _training(self) -> frozenset[str]:
+        return frozenset(
+            pid
+            for pid, record in self.records.items()
+            if record.current.phase == "training" and self.leases.live(pid, self.now)
+        )
+
+    def _evaluation_report(self, peer: bytes, report: EvaluationReport) -> list[Action]:
+        if not self.evaluator_lease.renew(EVALUATOR, report.epoch, peer, self.now):
+            return []
+        row = self.evaluations.report(report, self.elapsed_s)
+        if row is None:
+            return []
+        told: list[Action] = [RecordEvaluation(row)]
+        if self.evaluations.solved:
+            return told + self._finish("solved", f"after {self.evaluations.solved_at} interactions")
+        return told
+
+    # The end
+
+    def _finish(self, outcome: Outcome, reason: str) -> list[Action]:
+        if self.outcome is not None:
+            return []
+        self.outcome = outcome
+        leases = self.leases.holders(self.now) + self.evaluator_lease.holders(self.now)
+        peers = sorted({lease.holder for lease in leases})
+        told = self._tell(f"{outcome}: {reason}")
+        return [told, *(Send(peer, Goodbye(reason=outcome)) for peer in peers), Finish(outcome, reason)]
+
+    def _tell(self, text: str) -> Tell:
+        self.events.append(EventLine(elapsed_s=self.elapsed_s, text=text))
+        return Tell(self.elapsed_s, text)

@@ -1,0 +1,32 @@
+"""The worlds: Gymnasium environments that report true propositions and can be put into any earlier state.
+
+Importing this package registers them, so either of these makes a world::
+
+    import envs; gymnasium.make("t4nmtd/FrozenLake-v0", goals=1)
+    gymnasium.make_vec("envs:t4nmtd/FrozenLake-v0", num_envs=64, goals=1)
+
+Gymnasium 1.0 and later load no plugin entry points: an id without ``envs:`` needs the import first. The
+contract that every world keeps is in ``envs.protocol``.
+"""
+
+from __future__ import annotations
+
+from gymnasium.envs.registration import register, registry
+
+# id: (single world, batched world), as strings, so that physics engines are imported when a world is made.
+_ENTRY_POINTS = {
+    "t4nmtd/FrozenLake-v0": ("envs.frozenlake:FrozenLakeEnv", "envs.frozenlake_batch:FrozenLakeVectorEnv"),
+}
+
+
+def register_environments() -> None:
+    """Register every world with gymnasium; a second call changes nothing.
+
+    No world has a step limit: time limits belong to the learner and to the evaluation.
+    """
+    for world, (entry_point, vector_entry_point) in _ENTRY_POINTS.items():
+        if world not in registry:
+            register(id=world, entry_point=entry_point, vector_entry_point=vector_entry_point)
+
+
+register_environments()

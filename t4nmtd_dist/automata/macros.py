@@ -1,0 +1,50 @@
+"""Two patterns from which the formulas of the built-in tasks are made; both return LTLf text."""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Sequence
+
+
+def strict_then(colours: Sequence[str], watched: Sequence[Collection[str]] | None = None) -> str:
+    """First the first colour, then the second, and so on, and no watched colour in between.
+
+    ``strict_then(["a", "b"])`` is ``(!a & !b) U (a & X((!a & !b) U b))``. A stage's own colour together with
+    a wrong one counts as right.
+
+    Args:
+        colours: the propositions to be met in turn, at least one.
+        watched: for each stage the propositions that must not hold before its colour does; all colours of the
+            chain at every stage if left out.
+
+    Raises:
+        ValueError: if there is no colour, or not one collection of watched propositions per colour.
+    """
+    if watched is None:
+        watched = [colours] * len(colours)
+    if not colours or len(watched) != len(colours):
+        raise ValueError(
+            "expected at least one colour and one collection of watched propositions for each, "
+            f"got {len(colours)} and {len(watched)}"
+        )
+    text = ""
+    for colour, wrong in zip(reversed(colours), reversed(watched), strict=True):
+        goal = f"({colour} & X({text}))" if text else colour
+        waiting = " & ".join(f"!{name}" for name in wrong) or "true"
+        text = f"({waiting}) U {goal}"
+    return text
+
+
+def then(goals: Sequence[str]) -> str:
+    """First the first goal, at some later step the second, and so on, whatever happens in between.
+
+    ``then(["a", "b"])`` is ``F(a & X(F(b)))``.
+
+    Raises:
+        ValueError: if there is no goal.
+    """
+    if not goals:
+        raise ValueError("expected at least one goal, got none")
+    text = f"F({goals[-1]})"
+    for goal in reversed(goals[:-1]):
+        text = f"F({goal} & X({text}))"
+    return text

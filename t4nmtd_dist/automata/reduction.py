@@ -1,0 +1,89 @@
+"""A task automaton without the letters that its exclusive propositions rule out."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from t4nmtd_dist.automata.cubes import TruthTable
+from t4nmtd_dist.automata.dfa import DFA
+
+Transition = tuple[int, int]
+ExclusiveGroups = Sequence[Sequence[str]]
+
+
+@dataclass(frozen=True)
+class ReducedAutomaton:
+    """What is left of a DFA when only the allowed letters count; states keep the DFA's numbers.
+
+    Attributes:
+        states: the states that allowed letters reach from the initial state.
+        transitions: every (source, target) pair among them that an allowed letter takes, sorted, with
+            self-loops and transitions into error states.
+        accepting: F, as far as it is reached.
+        error: E, the reached states from which allowed letters never reach F.
+    """
+
+    states: frozenset[int]
+    transitions: tuple[Transition, ...]
+    accepting: frozenset[int]
+    error: frozenset[int]
+
+    @property
+    def progress(self) -> tuple[Transition, ...]:
+        """The transitions a sub-task may aim at: no self-loops, none out of F, none into E."""
+        return tuple(
+            (q, target)
+            for q, target in self.transitions
+            if q != target and q not in self.accepting and target not in self.error
+        )
+
+
+def allowed_letters(dfa: DFA, exclusive: ExclusiveGroups = ()) -> TruthTable:
+    """Letters in which no two propositions of one exclusive group hold together.
+
+    Args:
+        dfa: the task automaton.
+        exclusive: groups of propositions that can never hold together; names outside AP do not matter.
+
+    Returns:
+        bool array of shape (2**|AP|,).
+    """
+    letters = np.arange(1 << len(dfa.propositions))
+    allowed = np.ones(letters.size, dtype=np.bool_)
+    for group in exclusive:
+        bits = [dfa.letter([name]) for name in set(group)]
+        allowed &= sum(((letters & bit) > 0).astype(np.int64) for bit in bits) <= 1
+    return allowed
+
+
+def reduce_automaton(dfa: DFA, exclusive: ExclusiveGroups = ()) -> ReducedAutomaton:
+    """Drop the letters that ``exclusive`` rules out, and the states that are then unreachable."""
+    delta = dfa.delta[:, allowed_letters(dfa, exclusive)]
+    successors = {q: set(map(int, np.unique(delta[q]))) for q in range(dfa.states)}
+    states = closure([dfa.initial], successors)
+    transitions = tuple((q, target) for q in sorted(states) for target in sorted(successors[q]))
+    accepting = dfa.accepting & states
+    alive = closure(accepting, predecessors(transitions))
+    return ReducedAutomaton(states, transitions, accepting, states - alive)
+
+
+def closure(start: Iterable[int], successors: dict[int, set[int]]) -> frozenset[int]:
+    """The states reachable from ``start``, itself included."""
+    found = set(start)
+    frontier = list(found)
+    while frontier:
+        fresh = successors.get(frontier.pop(), set()) - found
+        found |= fresh
+        frontier.extend(fresh)
+    return frozenset(found)
+
+
+def predecessors(transitions: Iterable[Transition]) -> dict[int, set[int]]:
+    """For every target the set of its sources."""
+    sources: dict[int, set[int]] = {}
+    for q, target in transitions:
+        sources.setdefault(target, set()).add(q)
+    return sources

@@ -1,0 +1,67 @@
+"""From the text of an LTLf formula to its canonical DFA."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Literal, get_args
+
+import numpy as np
+
+from t4nmtd_dist.automata.deadline import Deadline
+from t4nmtd_dist.automata.dfa import DFA, MAX_PROPOSITIONS
+from t4nmtd_dist.automata.formula import Formula, parse, too_deep
+from t4nmtd_dist.automata.minimise import RawAutomaton, canonical_dfa
+from t4nmtd_dist.automata.mona import find_mona, translate_by_mona
+from t4nmtd_dist.automata.progression import translate_by_progression
+from t4nmtd_dist.errors import ConfigError, FormulaError
+
+Translator = Literal["auto", "mona", "python"]
+
+
+def translate(
+    formula: str,
+    *,
+    propositions: Sequence[str] | None = None,
+    translator: Translator = "auto",
+    time_limit: float = 30.0,
+) -> DFA:
+    """The minimal complete DFA of a formula over non-empty traces, the same from every translator.
+
+    Args:
+        formula: LTLf in LTLf2DFA's syntax (see ``t4nmtd_dist.automata.formula``).
+        propositions: the names that may occur; any if left out. The DFA has those that do occur, sorted.
+        translator: ``mona``, ``python``, or ``auto``: MONA where it is installed, else Python.
+        time_limit: seconds after which the translation gives up; parsing does not count.
+
+    Raises:
+        FormulaError: on a syntax error, an unknown proposition, more than 16 propositions, or a formula that
+            no trace or every trace satisfies.
+        TranslationError: if MONA was asked for and is missing, or the limit on time or size is exceeded.
+        ConfigError: on an unknown translator or a time limit that is not positive.
+    """
+    if translator not in get_args(Translator):
+        raise ConfigError(f"translator: expected one of {', '.join(get_args(Translator))}, got {translator!r}")
+    tree = parse(formula, propositions)
+    names = tuple(sorted(tree.propositions()))
+    if len(names) > MAX_PROPOSITIONS:
+        raise FormulaError(f"the formula has {len(names)} propositions; expected at most {MAX_PROPOSITIONS}")
+    deadline = Deadline.after(time_limit)
+    try:
+        dfa = canonical_dfa(names, _automaton(tree, names, translator, deadline), deadline)
+    except RecursionError:
+        raise too_deep() from None
+    _refuse_trivial(dfa)
+    return dfa
+
+
+def _automaton(tree: Formula, names: Sequence[str], translator: Translator, deadline: Deadline) -> RawAutomaton:
+    if translator == "mona" or (translator == "auto" and find_mona() is not None):
+        return translate_by_mona(tree, names, deadline)
+    return translate_by_progression(tree, names, deadline)
+
+
+def _refuse_trivial(dfa: DFA) -> None:
+    if not dfa.accepting:
+        raise FormulaError("the formula is unsatisfiable: no trace satisfies it, so the task could never succeed")
+    if dfa.accepting.issuperset(np.unique(dfa.delta).tolist()):
+        raise FormulaError("the formula is valid: every trace satisfies it, so the task would be done at once")

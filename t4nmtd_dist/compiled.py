@@ -1,0 +1,68 @@
+"""A task made ready for training: automaton, sub-tasks, distances and potentials from its settings."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from t4nmtd_dist.automata.dfa import DFA
+from t4nmtd_dist.automata.translate import translate
+from t4nmtd_dist.config import TaskConfig
+from t4nmtd_dist.decomposition import Decomposition, decompose
+from t4nmtd_dist.errors import ConfigError
+from t4nmtd_dist.high_level import QTable
+from t4nmtd_dist.potential import distances, potentials
+
+Translator = Literal["auto", "mona", "python"]
+
+
+@dataclass(frozen=True)
+class CompiledTask:
+    """What the coordinator hands to every worker.
+
+    Attributes:
+        dist: distance of every DFA state to acceptance, infinite in E.
+        rho: potential of every DFA state, float64 [Q].
+    """
+
+    config: TaskConfig
+    dfa: DFA
+    decomposition: Decomposition
+    dist: dict[int, float]
+    rho: NDArray[np.float64]
+
+    @property
+    def terminal(self) -> frozenset[int]:
+        """F and E."""
+        return self.dfa.accepting | self.dfa.error
+
+    def q_table(self) -> QTable:
+        """An empty Q table for this task."""
+        high = self.config.high_level
+        return QTable(
+            self.decomposition,
+            self.terminal,
+            alpha=high.alpha,
+            gamma=self.config.learner.gamma,
+            epsilon=high.epsilon,
+            smdp_discount=high.smdp_discount,
+        )
+
+
+def compile_task(config: TaskConfig, *, translator: Translator = "auto", seed: int = 0) -> CompiledTask:
+    """Translate the formula and decompose its automaton.
+
+    Raises:
+        FormulaError, TranslationError: if the formula or the translator fails.
+        ConfigError: if nothing is left to learn.
+    """
+    dfa = translate(config.formula, propositions=config.propositions, translator=translator)
+    settings = config.decomposition
+    decomposition = decompose(dfa, exclusive=config.exclusive, mode=settings.mode, prune=settings.prune, seed=seed)
+    if not decomposition.available(dfa.initial):
+        raise ConfigError(f"task {config.name!r}: no sub-task is available in the initial state; run `t4nmtd inspect`")
+    dist = distances(dfa, exclusive=config.exclusive, mode=settings.dist)
+    return CompiledTask(config, dfa, decomposition, dist, potentials(dfa, dist))

@@ -1,0 +1,248 @@
+"""Settings of a task: frozen dataclasses with the defaults, and how TOML files and flags change them.
+
+Precedence: the defaults here < the task file < ``--config`` files < ``--set`` flags. An unknown key is an error
+that names the nearest known one.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import difflib
+import tomllib
+import typing
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, Literal
+
+import msgspec
+
+from t4nmtd_dist.errors import ConfigError
+
+Shaping = Literal["paper", "potential", "subtask"]
+InterventionMode = Literal["query", "local", "off"]
+
+
+@dataclass(frozen=True)
+class EnvironmentConfig:
+    """The world: a registered Gymnasium id, constructor options, and the episode's horizon in steps."""
+
+    id: str
+    horizon: int
+    options: dict[str, Any] = field(default_factory=dict)
+
+
+@dataclass(frozen=True)
+class DecompositionConfig:
+    """How transitions are dealt to sub-tasks and how far states are from acceptance (spec: Decomposition)."""
+
+    mode: Literal["objective", "literal", "random"] = "objective"
+    prune: bool = True
+    dist: Literal["shortest", "mean"] = "shortest"
+
+
+@dataclass(frozen=True)
+class HighLevelConfig:
+    """Q(q, T) and E(Q, q): step size, exploration, and whether a decision's length is discounted."""
+
+    alpha: float = 0.1
+    epsilon: float = 0.1
+    smdp_discount: bool = False
+
+
+@dataclass(frozen=True)
+class LearnerConfig:
+    """What all learners share.
+
+    Attributes:
+        algorithm: ``ppo`` (discrete actions).
+        gamma: discount per step, also the one inside the shaped reward.
+        shaping: ``paper`` (potential difference when a target is reached), ``potential`` (on every step),
+            ``subtask`` (10 for a target, 100 for acceptance).
+        reward_scale: factor on rewards before they reach the critics.
+        intervention: ``query`` asks the peer's process, ``local`` a peer in the same process, ``off`` none.
+        attempt_steps: steps after which an attempt is cut (a truncation, the critic bootstraps).
+        start_capacity: initial-state buffer entries per DFA state.
+        hidden: widths of the hidden layers of actor and critic.
+    """
+
+    algorithm: Literal["ppo"] = "ppo"
+    gamma: float = 0.99
+    shaping: Shaping = "paper"
+    reward_scale: float = 0.01
+    intervention: InterventionMode = "query"
+    attempt_steps: int = 300
+    start_capacity: int = 200
+    hidden: tuple[int, ...] = (64, 64)
+
+
+@dataclass(frozen=True)
+class PPOConfig:
+    """PPO (Schulman et al., 2017); Stable-Baselines3's defaults where no reason speaks against them.
+
+    Attributes:
+        worlds: copies of the environment stepped together by one learner.
+        rollout: steps of each copy between updates.
+        epochs: passes over the roll-out.
+        minibatch: rows of one gradient step.
+        entropy_coefficient: weight of the entropy bonus.
+        gae_lambda: lambda of generalised advantage estimation.
+    """
+
+    worlds: int = 16
+    rollout: int = 64
+    epochs: int = 6
+    minibatch: int = 256
+    learning_rate: float = 1e-3
+    clip: float = 0.2
+    entropy_coefficient: float = 0.01
+    value_coefficient: float = 0.5
+    gae_lambda: float = 0.95
+    max_grad_norm: float = 0.5
+
+
+@dataclass(frozen=True)
+class EvaluationConfig:
+    """When the global policy is evaluated and when the task counts as solved."""
+
+    episodes: int = 20
+    every: int = 5000
+    in_a_row: int = 5
+
+
+@dataclass(frozen=True)
+class TaskConfig:
+    """Everything that defines a training: the task file with all defaults filled in."""
+
+    name: str
+    formula: str
+    propositions: tuple[str, ...]
+    environment: EnvironmentConfig
+    title: str = ""
+    exclusive: tuple[tuple[str, ...], ...] = ()
+    max_interactions: int = 5_000_000
+    decomposition: DecompositionConfig = DecompositionConfig()
+    high_level: HighLevelConfig = HighLevelConfig()
+    learner: LearnerConfig = LearnerConfig()
+    ppo: PPOConfig = PPOConfig()
+    evaluation: EvaluationConfig = EvaluationConfig()
+
+    def __post_init__(self) -> None:
+        _check_ranges(self)
+
+    def to_dict(self) -> dict[str, Any]:
+        """Plain data that ``task_config`` reads back; fit for TOML and the wire."""
+        plain: dict[str, Any] = msgspec.to_builtins(self)
+        return plain
+
+
+def _check_ranges(task: TaskConfig) -> None:
+    positive = {
+        "environment.horizon": task.environment.horizon,
+        "learner.attempt_steps": task.learner.attempt_steps,
+        "learner.start_capacity": task.learner.start_capacity,
+        "learner.reward_scale": task.learner.reward_scale,
+        "ppo.worlds": task.ppo.worlds,
+        "ppo.rollout": task.ppo.rollout,
+        "ppo.epochs": task.ppo.epochs,
+        "ppo.minibatch": task.ppo.minibatch,
+        "ppo.learning_rate": task.ppo.learning_rate,
+        "evaluation.episodes": task.evaluation.episodes,
+        "evaluation.every": task.evaluation.every,
+        "evaluation.in_a_row": task.evaluation.in_a_row,
+        "max_interactions": task.max_interactions,
+    }
+    shares = {
+        "learner.gamma": task.learner.gamma,
+        "ppo.gae_lambda": task.ppo.gae_lambda,
+        "high_level.alpha": task.high_level.alpha,
+        "high_level.epsilon": task.high_level.epsilon,
+    }
+    for key, number in positive.items():
+        if not number > 0:
+            raise ConfigError(f"{key} = {number}: expected a number above 0")
+    for key, share in shares.items():
+        if not 0 <= share <= 1:
+            raise ConfigError(f"{key} = {share}: expected a number from 0 to 1")
+    _check_groups(task)
+
+
+def _check_groups(task: TaskConfig) -> None:
+    for group in task.exclusive:
+        strange = [name for name in group if name not in task.propositions]
+        if strange:
+            raise ConfigError(f"exclusive names {strange[0]!r}; declared propositions: {', '.join(task.propositions)}")
+
+
+def task_config(data: Mapping[str, Any], *, source: str = "task") -> TaskConfig:
+    """Build a TaskConfig from plain data.
+
+    Raises:
+        ConfigError: for an unknown key (with the nearest known one), a missing key, a wrong type or range.
+    """
+    _refuse_unknown_keys(data, TaskConfig, source, ())
+    try:
+        return msgspec.convert(dict(data), TaskConfig)
+    except msgspec.ValidationError as error:
+        raise ConfigError(f"{source}: {error}") from None
+
+
+def _refuse_unknown_keys(data: Mapping[str, Any], kind: type, source: str, path: tuple[str, ...]) -> None:
+    hints = typing.get_type_hints(kind)
+    for key, value in data.items():
+        dotted = ".".join((*path, key))
+        if key not in hints:
+            nearest = difflib.get_close_matches(key, hints, n=1, cutoff=0)
+            raise ConfigError(f"{source}: unknown key {dotted!r}; did you mean {'.'.join((*path, *nearest))!r}?")
+        if dataclasses.is_dataclass(hints[key]) and isinstance(value, Mapping):
+            _refuse_unknown_keys(value, typing.cast(type, hints[key]), source, (*path, key))
+
+
+def read_toml(path: Path) -> dict[str, Any]:
+    """Read a TOML file.
+
+    Raises:
+        ConfigError: if it cannot be read, or is not TOML; the text has file, line and column.
+    """
+    try:
+        return tomllib.loads(path.read_text(encoding="utf-8"))
+    except OSError as error:
+        raise ConfigError(f"cannot read {path}: {error.strerror}") from None
+    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+        raise ConfigError(f"{path} is not TOML: {error}") from None
+
+
+def merge(base: Mapping[str, Any], over: Mapping[str, Any]) -> dict[str, Any]:
+    """``base`` with the keys of ``over`` laid on top, tables merged key by key."""
+    merged = dict(base)
+    for key, value in over.items():
+        old = merged.get(key)
+        both = isinstance(old, Mapping) and isinstance(value, Mapping)
+        merged[key] = merge(old, value) if both else value  # type: ignore[arg-type]
+    return merged
+
+
+def settings_from_flags(flags: Iterable[str]) -> dict[str, Any]:
+    """Plain data from ``--set section.key=value`` flags; the value is written as in TOML.
+
+    Raises:
+        ConfigError: if a flag is not of that form.
+    """
+    data: dict[str, Any] = {}
+    for flag in flags:
+        key, equals, text = flag.partition("=")
+        if not equals or not key:
+            raise ConfigError(f"--set {flag!r}: expected section.key=value, for instance learner.gamma=0.98")
+        data = merge(data, _nested(key.strip().split("."), _toml_value(text.strip())))
+    return data
+
+
+def _toml_value(text: str) -> Any:
+    try:
+        return tomllib.loads(f"value = {text}")["value"]
+    except tomllib.TOMLDecodeError:
+        return text
+
+
+def _nested(path: list[str], value: Any) -> dict[str, Any]:
+    return {path[0]: value if len(path) == 1 else _nested(path[1:], value)}

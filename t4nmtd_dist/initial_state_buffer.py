@@ -1,0 +1,105 @@
+"""Initial-state buffers B_iota: where a sub-task's attempts begin (paper, Algorithm 2, lines 1 and 4)."""
+
+from __future__ import annotations
+
+from collections import OrderedDict
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+State = NDArray[Any]
+
+
+@dataclass(frozen=True)
+class StartState:
+    """A product state <s, q> in which an attempt can begin; ``state`` None is the environment's own reset."""
+
+    q: int
+    state: State | None
+
+
+class InitialStateBuffer:
+    """The start states of one sub-task: a bounded FIFO per DFA state, without repeats.
+
+    Every entry carries a cursor, a number that only grows, so that a copy elsewhere can ask for what is new.
+
+    Args:
+        capacity: most entries kept per DFA state; the oldest go first.
+    """
+
+    def __init__(self, capacity: int) -> None:
+        self._capacity = capacity
+        self._entries: dict[int, OrderedDict[bytes, tuple[int, State]]] = {}
+        self.cursor = 0
+
+    def __len__(self) -> int:
+        return sum(len(entries) for entries in self._entries.values())
+
+    def add(self, q: int, state: State) -> bool:
+        """Store <state, q>; False if the very same state is already there."""
+        entries = self._entries.setdefault(q, OrderedDict())
+        key = state.tobytes()
+        if key in entries:
+            return False
+        self.cursor += 1
+        entries[key] = (self.cursor, state.copy())
+        if len(entries) > self._capacity:
+            entries.popitem(last=False)
+        return True
+
+    def since(self, cursor: int, limit: int) -> list[tuple[int, int, State]]:
+        """Up to ``limit`` entries newer than ``cursor`` as (cursor, q, state), oldest first."""
+        fresh = [
+            (number, q, state)
+            for q, entries in self._entries.items()
+            for number, state in entries.values()
+            if number > cursor
+        ]
+        return sorted(fresh, key=lambda entry: entry[0])[:limit]
+
+    def states_present(self) -> list[int]:
+        """The DFA states that have at least one entry, sorted."""
+        return sorted(q for q, entries in self._entries.items() if entries)
+
+    def count(self, q: int) -> int:
+        """Number of entries of DFA state ``q``."""
+        return len(self._entries.get(q, ()))
+
+    def sample(self, q: int, rng: np.random.Generator) -> State:
+        """A uniform entry of DFA state ``q``."""
+        entries = self._entries[q]
+        index = int(rng.integers(len(entries)))
+        return list(entries.values())[index][1]
+
+
+def sample_starts(
+    buffer: InitialStateBuffer, reset_q: int | None, count: int, rng: np.random.Generator
+) -> Sequence[StartState]:
+    """``count`` start states: uniform over the DFA states present, then uniform within.
+
+    Args:
+        buffer: the sub-task's buffer.
+        reset_q: the initial DFA state if the sub-task is available there: the environment's own reset is then a
+            standing entry; else None.
+        count: how many.
+        rng: source of randomness.
+
+    Returns:
+        The starts; empty if there is nowhere to begin.
+    """
+    present = buffer.states_present()
+    choices = sorted({*present, *(() if reset_q is None else (reset_q,))})
+    if not choices:
+        return []
+    return [_draw(buffer, choices[i], reset_q, present, rng) for i in rng.integers(len(choices), size=count)]
+
+
+def _draw(
+    buffer: InitialStateBuffer, q: int, reset_q: int | None, present: list[int], rng: np.random.Generator
+) -> StartState:
+    if q == reset_q and (q not in present or rng.random() * (buffer.count(q) + 1) < 1):
+        return StartState(q, None)
+    return StartState(q, buffer.sample(q, rng))

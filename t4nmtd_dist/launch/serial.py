@@ -1,0 +1,106 @@
+"""All roles in lock-step in one process: bit-reproducible from a seed; for debugging and as the tests' oracle.
+
+The states, learners and messages are the distributed system's own; only the network between them is left out.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+
+import torch
+
+from coordinator.events import Action, Event, Finish, Received, RecordEvaluation, Send, Tell
+from coordinator.state import CoordinatorState, RunSettings
+from t4nmtd_dist.compiled import CompiledTask
+from t4nmtd_dist.errors import LeaseError
+from t4nmtd_dist.learners.peers import LocalPeers, NoPeers, PeerCritics
+from t4nmtd_dist.wire.codec import Envelope
+from t4nmtd_dist.wire.messages import Claim, EvaluationJob, EvaluationPoll, Granted, Message, Refused
+from workers.evaluation_session import EvaluationSession
+from workers.learner_session import LearnerSession
+
+
+@dataclass
+class SerialRun:
+    """A whole training in one process.
+
+    Args:
+        task: the compiled task.
+        settings: seed and budget.
+        clock: seconds; only shown, never used for decisions.
+    """
+
+    task: CompiledTask
+    settings: RunSettings
+    clock: Callable[[], float]
+
+    def __post_init__(self) -> None:
+        torch.set_num_threads(1)
+        self.coordinator = CoordinatorState(self.task, self.settings)
+        self.sessions = {pid: self._begin(pid) for pid in self.task.decomposition.pids}
+        self.evaluator = EvaluationSession(self._claim(Claim(role="evaluator", instance="serial"))[0])
+        self.peers: dict[str, PeerCritics] = {pid: self._peers(pid) for pid in self.sessions}
+        self.notes: list[Action] = []
+
+    def _begin(self, pid: str) -> LearnerSession:
+        granted, envelope = self._claim(Claim(role="learner", instance="serial", pid=pid))
+        return LearnerSession(granted, envelope.arrays)
+
+    def _claim(self, claim: Claim) -> tuple[Granted, Envelope]:
+        for envelope in self._ask(claim, {}):
+            if isinstance(envelope.message, Granted):
+                return envelope.message, envelope
+            if isinstance(envelope.message, Refused):
+                raise LeaseError(envelope.message.text)
+        raise LeaseError("the coordinator did not answer a claim")
+
+    def _peers(self, pid: str) -> PeerCritics:
+        if self.task.config.learner.intervention == "off":
+            return NoPeers()
+        others = {other: s.learner.critic_values for other, s in self.sessions.items() if other != pid}
+        return LocalPeers(others)
+
+    def _handle(self, event: Event) -> list[Action]:
+        actions = self.coordinator.handle(event)
+        if hasattr(self, "notes"):
+            self.notes += [action for action in actions if isinstance(action, Tell | RecordEvaluation | Finish)]
+        return actions
+
+    def _ask(self, message: Message, arrays: dict[str, object]) -> list[Envelope]:
+        envelope = Envelope(message, arrays)  # type: ignore[arg-type]
+        actions = self._handle(Received(self.clock(), b"serial", envelope))
+        return [Envelope(a.message, a.arrays) for a in actions if isinstance(a, Send)]
+
+    def steps(self) -> Iterator[list[Action]]:
+        """Run round after round until the task is solved or the budget spent; yields what is worth recording.
+
+        In a round every learner that can start trains on one roll-out, tells the coordinator and hears its answer;
+        then the evaluator asks for a job.
+        """
+        while self.coordinator.outcome is None:
+            self.round()
+            taken, self.notes = self.notes, []
+            yield taken
+
+    def round(self) -> None:
+        """One round of all learners and the evaluator."""
+        for pid, session in self.sessions.items():
+            session.iterate(self.peers[pid])
+            self._sync(session)
+            if self.coordinator.outcome is not None:
+                return
+        self._evaluate()
+
+    def _sync(self, session: LearnerSession) -> None:
+        sync = session.next_sync(float("inf"), 0.0)
+        assert sync is not None
+        actions = self._handle(Received(self.clock(), b"serial", sync))
+        for action in actions:
+            if isinstance(action, Send):
+                session.take_reply(Envelope(action.message, action.arrays))
+
+    def _evaluate(self) -> None:
+        for envelope in self._ask(EvaluationPoll(epoch=self.evaluator.epoch), {}):
+            if isinstance(envelope.message, EvaluationJob) and envelope.message.job:
+                self._ask(self.evaluator.evaluate(envelope), {})

@@ -1,0 +1,177 @@
+"""Attempts at one sub-task in N copies of the world (paper, Algorithm 2, lines 1 to 10, without learning)."""
+
+from __future__ import annotations
+
+from collections import deque
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from t4nmtd_dist.initial_state_buffer import InitialStateBuffer, StartState, sample_starts
+from t4nmtd_dist.product import LetterReader, SubtaskTables
+from t4nmtd_dist.worlds import BatchedWorld, Observations, Rows
+
+NO_TARGET = -1
+RECENT_ATTEMPTS = 100
+
+Mask = NDArray[np.bool_]
+States = NDArray[np.int32]
+
+
+@dataclass(frozen=True)
+class AttemptStep:
+    """One step of all N copies, as experience <s, q, a, reward, s', q'>.
+
+    Attributes:
+        reward: shaped reward, unscaled, float64 [N].
+        next_observations: float32 [N, d], before any restart.
+        q_next: int32 [N], before any restart.
+        changed: the DFA moved to another state.
+        terminal: F, E or an environment that ended: the critic's value of s' is 0.
+        ended: the attempt is over; the copy has begun another.
+    """
+
+    reward: NDArray[np.float64]
+    next_observations: Observations
+    q_next: States
+    changed: Mask
+    terminal: Mask
+    ended: Mask
+
+
+@dataclass
+class Progress:
+    """What the coordinator must hear of: DFA changes, failed attempts, and start states for others.
+
+    Attributes:
+        changes: (q, q' or NO_TARGET, steps since q was entered, shaped reward), in order.
+        starts: (q', snapshot) of reached targets.
+    """
+
+    changes: list[tuple[int, int, int, float]] = field(default_factory=list)
+    starts: list[tuple[int, NDArray[Any]]] = field(default_factory=list)
+
+
+class Attempts:
+    """N copies of the world, each always within an attempt at the sub-task.
+
+    Args:
+        world: the copies; every one of their steps is counted in ``interactions``.
+        reader: letters of the DFA from the world's labels.
+        tables: the sub-task.
+        delta: the DFA's transition table, int32 [Q, letters].
+        buffer: where attempts begin.
+        reset_q: the initial DFA state if the sub-task is available there, else None.
+        attempt_steps: steps after which an attempt is cut.
+        rng: source of randomness.
+    """
+
+    def __init__(
+        self,
+        world: BatchedWorld,
+        reader: LetterReader,
+        tables: SubtaskTables,
+        delta: NDArray[np.int32],
+        buffer: InitialStateBuffer,
+        *,
+        reset_q: int | None,
+        attempt_steps: int,
+        rng: np.random.Generator,
+    ) -> None:
+        self._world, self._reader, self._tables, self._delta = world, reader, tables, delta
+        self._buffer, self._reset_q, self._attempt_steps, self._rng = buffer, reset_q, attempt_steps, rng
+        self.observations: Observations = np.zeros((world.count, world.observation_size), dtype=np.float32)
+        self.q: States = np.zeros(world.count, dtype=np.int32)
+        self._steps = np.zeros(world.count, dtype=np.int32)
+        self._steps_in_q = np.zeros(world.count, dtype=np.int32)
+        self._begun = False
+        self.progress = Progress()
+        self.interactions = 0
+        self.attempts = 0
+        self.successes = 0
+        self._recent: deque[tuple[bool, int]] = deque(maxlen=RECENT_ATTEMPTS)
+
+    @property
+    def recent_success(self) -> float | None:
+        """Share of the last attempts that reached a target; None before the first ended."""
+        return float(np.mean([success for success, _ in self._recent])) if self._recent else None
+
+    @property
+    def recent_length(self) -> float | None:
+        """Mean length of the last attempts in steps."""
+        return float(np.mean([steps for _, steps in self._recent])) if self._recent else None
+
+    def take_progress(self) -> Progress:
+        """What happened since the last call."""
+        taken, self.progress = self.progress, Progress()
+        return taken
+
+    def begin(self) -> bool:
+        """Start the first attempt of every copy, if that has not been done; False while there is no start state."""
+        if not self._begun:
+            self._begun = self._start(np.arange(self._world.count))
+        return self._begun
+
+    def _start(self, rows: Rows) -> bool:
+        starts = sample_starts(self._buffer, self._reset_q, len(rows), self._rng)
+        if not starts:
+            return False
+        fresh = [start.state is None for start in starts]
+        self._reset(rows[np.array(fresh)])
+        self._restore(rows[~np.array(fresh)], [start for start in starts if start.state is not None])
+        self.q[rows] = [start.q for start in starts]
+        self._steps[rows] = 0
+        self._steps_in_q[rows] = 0
+        return True
+
+    def _reset(self, rows: Rows) -> None:
+        if len(rows):
+            seed = None if self._begun else int(self._rng.integers(2**31))
+            self.observations[rows] = self._world.reset(rows, seed)
+
+    def _restore(self, rows: Rows, starts: list[StartState]) -> None:
+        if len(rows):
+            states = [start.state for start in starts if start.state is not None]
+            self.observations[rows] = self._world.restore(rows, states)
+
+    def step(self, actions: NDArray[Any]) -> AttemptStep:
+        """Act in every copy, move the DFA, and begin again where an attempt is over."""
+        tables, q = self._tables, self.q
+        world_step = self._world.step(actions)
+        self.interactions += self._world.count
+        self._steps += 1
+        self._steps_in_q += 1
+        q_next = self._delta[q, self._reader.letters(world_step.labels)]
+        changed = q_next != q
+        reached = tables.target[q, q_next]
+        terminal = tables.terminal[q_next] | world_step.terminated
+        stranded = changed & ~tables.available[q_next]
+        ended = reached | terminal | stranded | (self._steps >= self._attempt_steps)
+        reward = tables.reward[q, q_next] - np.where(world_step.terminated, tables.kept_potential[q_next], 0.0)
+        result = AttemptStep(reward, world_step.observations.copy(), q_next, changed, terminal, ended)
+        self._note(result, reached)
+        self.observations[:] = world_step.observations
+        self.q = q_next
+        self._steps_in_q[changed] = 0
+        if ended.any():
+            self._start(np.flatnonzero(ended))
+        return result
+
+    def _note(self, step: AttemptStep, reached: Mask) -> None:
+        told = step.changed | step.ended
+        if not told.any():
+            return
+        for row in np.flatnonzero(told):
+            q_next = int(step.q_next[row]) if step.changed[row] else NO_TARGET
+            reward = float(step.reward[row]) if step.changed[row] else 0.0
+            self.progress.changes.append((int(self.q[row]), q_next, int(self._steps_in_q[row]), reward))
+        for row in np.flatnonzero(step.ended):
+            self._recent.append((bool(reached[row]), int(self._steps[row])))
+        self.attempts += int(step.ended.sum())
+        self.successes += int(reached.sum())
+        handed = np.flatnonzero(reached & ~step.terminal)
+        if len(handed):
+            states = self._world.snapshot(handed)
+            self.progress.starts += [(int(step.q_next[r]), s) for r, s in zip(handed, states, strict=True)]

@@ -1,0 +1,256 @@
+"""PPO for one sub-task, with the peer's value across a sub-task boundary (paper, Algorithm 2, line 12)."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor, nn
+
+from t4nmtd_dist.config import LearnerConfig, PPOConfig
+from t4nmtd_dist.high_level import QTable
+from t4nmtd_dist.learners.attempts import Attempts, Mask
+from t4nmtd_dist.learners.networks import Weights, load_weights, mlp, product_state, weights_of
+from t4nmtd_dist.learners.peers import PeerCritics, Values
+from t4nmtd_dist.worlds import Observations
+
+Floats = NDArray[np.float32]
+
+
+class ActorCritic(nn.Module):
+    """Separate networks for the policy's logits and the state value."""
+
+    def __init__(self, inputs: int, actions: int, hidden: tuple[int, ...]) -> None:
+        super().__init__()
+        self.actor = mlp(inputs, hidden, actions, last_gain=0.01)
+        self.critic = mlp(inputs, hidden, 1, last_gain=1.0)
+
+    def value(self, states: Tensor) -> Tensor:
+        """State values [N] of product states [N, d + |Q|]."""
+        return torch.as_tensor(self.critic(states)).squeeze(-1)
+
+
+@dataclass
+class Rollout:
+    """T steps of N copies; every array begins with the axes [T, N]."""
+
+    states: Floats
+    actions: NDArray[np.int64]
+    log_probs: Floats
+    rewards: Floats
+    terminal: Mask
+    cut: Mask
+    boundary: Mask
+    boundary_observations: Floats
+    boundary_q: NDArray[np.int32]
+
+    @classmethod
+    def empty(cls, steps: int, count: int, inputs: int, observation_size: int) -> Rollout:
+        """Room for a roll-out, to be filled step by step."""
+        shape = (steps, count)
+        return cls(
+            states=np.zeros((*shape, inputs), np.float32),
+            actions=np.zeros(shape, np.int64),
+            log_probs=np.zeros(shape, np.float32),
+            rewards=np.zeros(shape, np.float32),
+            terminal=np.zeros(shape, np.bool_),
+            cut=np.zeros(shape, np.bool_),
+            boundary=np.zeros(shape, np.bool_),
+            boundary_observations=np.zeros((*shape, observation_size), np.float32),
+            boundary_q=np.zeros(shape, np.int32),
+        )
+
+
+def generalised_advantages(
+    rewards: Floats, values: Floats, next_values: Floats, cut: Mask, *, gamma: float, gae_lambda: float
+) -> Floats:
+    """GAE (Schulman et al., 2016), float32 [T, N].
+
+    Args:
+        rewards: scaled rewards [T, N].
+        values: V(s_t) [T, N].
+        next_values: what each step bootstraps from: 0 at terminals, the peer's value across a boundary, else
+            V(s_{t+1}).
+        cut: steps after which the trace must not go on [T, N].
+        gamma: discount.
+        gae_lambda: lambda.
+    """
+    delta = rewards + gamma * next_values - values
+    decay = gamma * gae_lambda * ~cut
+    advantages = np.zeros_like(delta)
+    carried = np.zeros_like(delta[0])
+    for t in reversed(range(len(delta))):
+        carried = delta[t] + decay[t] * carried
+        advantages[t] = carried
+    return advantages
+
+
+class PPOLearner:
+    """Acts in all attempts of a sub-task and learns from them, one roll-out at a time.
+
+    Args:
+        pid: the sub-task.
+        attempts: N copies of the world within attempts.
+        config: settings shared by all learners.
+        ppo: settings of PPO.
+        high_level: a copy of the coordinator's Q table, for E(Q, q').
+        dfa_states: |Q|, the width of the one-hot.
+        actions: number of actions.
+        seed: seeds networks and sampling.
+    """
+
+    def __init__(
+        self,
+        pid: str,
+        attempts: Attempts,
+        config: LearnerConfig,
+        ppo: PPOConfig,
+        high_level: QTable,
+        *,
+        dfa_states: int,
+        actions: int,
+        seed: int,
+    ) -> None:
+        self.pid, self.attempts, self.high_level = pid, attempts, high_level
+        self._config, self._ppo, self._dfa_states = config, ppo, dfa_states
+        self._rng = np.random.default_rng([seed, 1])
+        count, observation_size = attempts.observations.shape
+        with torch.random.fork_rng(devices=[]):
+            torch.manual_seed(seed)
+            self.network = ActorCritic(observation_size + dfa_states, actions, config.hidden)
+        self._optimiser = torch.optim.Adam(self.network.parameters(), lr=ppo.learning_rate, eps=1e-5, fused=True)
+        self._rollout = Rollout.empty(ppo.rollout, count, observation_size + dfa_states, observation_size)
+        self.gradient_steps = 0
+        self.version = 0
+        self._last_losses: tuple[Tensor, Tensor] | None = None
+
+    def losses(self) -> tuple[float | None, float | None]:
+        """Entropy (nats) and value loss of the last gradient step; None before the first."""
+        if self._last_losses is None:
+            return None, None
+        return float(self._last_losses[0]), float(self._last_losses[1])
+
+    @torch.no_grad()
+    def critic_values(self, observations: Observations, q: NDArray[np.int32]) -> Values:
+        """V(s, q) of product states, float32 [k]: what peers ask for."""
+        values: Values = self.network.value(product_state(observations, q, self._dfa_states)).numpy()
+        return values
+
+    def weights(self) -> Weights:
+        """Copies of all parameters by name."""
+        return weights_of(self.network)
+
+    def load(self, weights: Mapping[str, NDArray[Any]], version: int) -> None:
+        """Go on from weights learned before."""
+        load_weights(self.network, weights)
+        self.version = version
+
+    def iterate(self, peers: PeerCritics) -> bool:
+        """Collect one roll-out and learn from it; False while there is no state to start from."""
+        if not self.attempts.begin():
+            return False
+        self.collect(peers)
+        self.learn(peers)
+        return True
+
+    @torch.no_grad()
+    def collect(self, peers: PeerCritics) -> None:
+        """Fill the roll-out; peers are asked about boundaries as they are crossed."""
+        rollout, attempts = self._rollout, self.attempts
+        for t in range(self._ppo.rollout):
+            states = product_state(attempts.observations, attempts.q, self._dfa_states)
+            rollout.states[t] = states.numpy()
+            actions, rollout.log_probs[t] = self._act(states)
+            rollout.actions[t] = actions
+            step = attempts.step(actions)
+            rollout.rewards[t] = step.reward * self._config.reward_scale
+            rollout.terminal[t] = step.terminal
+            rollout.cut[t] = step.ended | step.changed
+            rollout.boundary[t] = rollout.cut[t] & ~step.terminal
+            rollout.boundary_observations[t] = step.next_observations
+            rollout.boundary_q[t] = step.q_next
+            self._ask(t, step.changed & ~step.terminal, peers)
+
+    def _act(self, states: Tensor) -> tuple[NDArray[np.int64], Floats]:
+        """Sampled actions [N] and their log-probabilities [N]; sampling by the Gumbel trick."""
+        log_probs = torch.log_softmax(self.network.actor(states), -1).numpy()
+        actions = np.argmax(log_probs + self._rng.gumbel(size=log_probs.shape), axis=1)
+        return actions, log_probs[np.arange(len(actions)), actions]
+
+    def _ask(self, t: int, crossed: Mask, peers: PeerCritics) -> None:
+        rollout = self._rollout
+        for n in np.flatnonzero(crossed):
+            q_next = int(rollout.boundary_q[t, n])
+            pid = self.high_level.choose(q_next, self._rng)
+            if pid is not None and pid != self.pid:
+                row = t * rollout.rewards.shape[1] + int(n)
+                peers.ask(row, pid, rollout.boundary_observations[t, n], q_next)
+
+    def learn(self, peers: PeerCritics) -> None:
+        """Advantages and PPO's epochs over the roll-out."""
+        with torch.no_grad():
+            values, next_values = self._bootstrap(peers)
+        rollout, ppo = self._rollout, self._ppo
+        advantages = generalised_advantages(
+            rollout.rewards,
+            values,
+            next_values,
+            rollout.cut,
+            gamma=self._config.gamma,
+            gae_lambda=ppo.gae_lambda,
+        )
+        self._epochs(advantages.reshape(-1), (advantages + values).reshape(-1))
+        self.version += 1
+
+    def _bootstrap(self, peers: PeerCritics) -> tuple[Floats, Floats]:
+        """V(s_t) and the bootstrap values of s_{t+1}, float32 [T, N] each (the critic target with intervention)."""
+        rollout, attempts = self._rollout, self.attempts
+        last = product_state(attempts.observations, attempts.q, self._dfa_states)
+        flat = torch.from_numpy(rollout.states.reshape(-1, rollout.states.shape[-1]))
+        own = self.network.value(torch.cat([flat, last])).numpy()
+        values = own[: len(flat)].reshape(rollout.rewards.shape)
+        next_values = np.concatenate([values[1:], own[None, len(flat) :]])
+        crossed = rollout.boundary
+        if crossed.any():
+            next_values[crossed] = self.critic_values(
+                rollout.boundary_observations[crossed], rollout.boundary_q[crossed]
+            )
+        answers = peers.gather()
+        next_values.reshape(-1)[answers.rows] = answers.values
+        next_values[rollout.terminal] = 0.0
+        return values, next_values
+
+    def _epochs(self, advantages: Floats, returns: Floats) -> None:
+        rollout, ppo = self._rollout, self._ppo
+        states = torch.from_numpy(rollout.states.reshape(len(advantages), -1))
+        actions = torch.from_numpy(rollout.actions.reshape(-1))
+        log_probs = torch.from_numpy(rollout.log_probs.reshape(-1))
+        normal = (advantages - advantages.mean()) / (advantages.std() + 1e-8)
+        columns = (states, actions, log_probs, torch.from_numpy(normal), torch.from_numpy(returns))
+        for _ in range(ppo.epochs):
+            order = torch.from_numpy(self._rng.permutation(len(advantages)))
+            for rows in torch.split(order, ppo.minibatch):
+                self._gradient_step(*(column[rows] for column in columns))
+
+    def _gradient_step(
+        self, states: Tensor, actions: Tensor, old_log_probs: Tensor, advantages: Tensor, returns: Tensor
+    ) -> None:
+        ppo = self._ppo
+        all_log_probs = torch.log_softmax(self.network.actor(states), -1)
+        log_probs = all_log_probs.gather(1, actions[:, None]).squeeze(1)
+        ratio = torch.exp(log_probs - old_log_probs)
+        clipped = ratio.clamp(1 - ppo.clip, 1 + ppo.clip)
+        policy_loss = -torch.minimum(ratio * advantages, clipped * advantages).mean()
+        entropy = -(all_log_probs.exp() * all_log_probs).sum(-1).mean()
+        value_loss = (self.network.value(states) - returns).square().mean()
+        loss = policy_loss + ppo.value_coefficient * value_loss - ppo.entropy_coefficient * entropy
+        self._optimiser.zero_grad(set_to_none=True)
+        loss.backward()
+        nn.utils.clip_grad_norm_(self.network.parameters(), ppo.max_grad_norm)
+        self._optimiser.step()
+        self.gradient_steps += 1
+        self._last_losses = entropy.detach(), value_loss.detach()

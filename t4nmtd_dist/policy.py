@@ -1,0 +1,162 @@
+"""The global policy: at <s, q> follow the actor of arg max Q(q, .) (paper, section "Global policy").
+
+An exported policy is a folder: ``policy.json`` (format version, task, DFA, Q, spaces) and ``actors.safetensors``.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterable, Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from safetensors import SafetensorError
+from safetensors.numpy import load_file
+from torch import nn
+
+from t4nmtd_dist.automata.dfa import DFA
+from t4nmtd_dist.config import TaskConfig, task_config
+from t4nmtd_dist.decomposition import Decomposition
+from t4nmtd_dist.errors import PolicyError
+from t4nmtd_dist.high_level import QEntries
+from t4nmtd_dist.learners.networks import load_weights, mlp, product_state
+from t4nmtd_dist.runs.exported import ACTORS_FILE, POLICY_FILE, POLICY_FORMAT
+from t4nmtd_dist.worlds import Observations
+
+ActorWeights = Mapping[str, Mapping[str, NDArray[Any]]]
+
+
+class GlobalPolicy:
+    """Deterministic actors, one per sub-task, and which one acts in which DFA state.
+
+    Args:
+        config: the task.
+        dfa: its automaton.
+        decomposition: its sub-tasks.
+        q_table: known entries of Q(q, T).
+        actors: by pid, parameters named ``actor.*`` (others are ignored).
+        rho: potentials [Q], for the validation return.
+    """
+
+    def __init__(
+        self,
+        config: TaskConfig,
+        dfa: DFA,
+        decomposition: Decomposition,
+        q_table: QEntries,
+        actors: ActorWeights,
+        rho: NDArray[np.float64],
+    ) -> None:
+        self.config, self.dfa, self.decomposition, self.q_table, self.rho = (
+            config,
+            dfa,
+            decomposition,
+            q_table,
+            rho,
+        )
+        self._actors = {pid: _actor(config.learner.hidden, weights) for pid, weights in actors.items()}
+        self.subtask_of = self._choices()
+        self._q = dfa.initial
+        self._first = True
+
+    def _choices(self) -> dict[int, str]:
+        """The greedy sub-task of every DFA state, among those that have an actor; ties by name."""
+        known = {(q, pid): value for q, pid, value in self.q_table}
+        chosen = {}
+        for q in range(self.dfa.states):
+            able = [pid for pid in self.decomposition.available(q) if pid in self._actors]
+            if able:
+                chosen[q] = max(able, key=lambda pid: known.get((q, pid), -np.inf))
+        return chosen
+
+    @torch.no_grad()
+    def actions(self, observations: Observations, q: NDArray[np.int32]) -> NDArray[np.int64]:
+        """Greedy actions int64 [N] at product states; -1 where no sub-task has an actor."""
+        actions = np.full(len(q), -1, dtype=np.int64)
+        for state in np.unique(q):
+            pid = self.subtask_of.get(int(state))
+            if pid is None:
+                continue
+            rows = q == state
+            logits = self._actors[pid](product_state(observations[rows], q[rows], self.dfa.states))
+            actions[rows] = logits.argmax(-1).numpy()
+        return actions
+
+    def reset(self) -> None:
+        """Begin an episode: the DFA is in its initial state."""
+        self._q, self._first = self.dfa.initial, True
+
+    @property
+    def state(self) -> int:
+        """The DFA state now."""
+        return self._q
+
+    def act(self, observation: NDArray[Any], labels: Iterable[str]) -> int:
+        """The action at one observation, after reading the labels that came with it.
+
+        The labels of the first observation after ``reset`` are not read: a trace begins with the first step.
+
+        Args:
+            observation: float [d], as the environment gives it.
+            labels: names of the true propositions.
+
+        Raises:
+            PolicyError: if the DFA is in a state for which nothing was learned.
+        """
+        if not self._first:
+            self._q = self.dfa.step(self._q, labels)
+        self._first = False
+        row = np.asarray(observation, np.float32)[None]
+        action = int(self.actions(row, np.array([self._q], np.int32))[0])
+        if action < 0:
+            kind = "accepting" if self._q in self.dfa.accepting else "one for which nothing was learned"
+            raise PolicyError(f"no action at DFA state {self._q}: it is {kind}; call reset() to begin an episode")
+        return action
+
+
+def _actor(hidden: tuple[int, ...], weights: Mapping[str, NDArray[Any]]) -> nn.Sequential:
+    own = {name.removeprefix("actor."): array for name, array in weights.items() if name.startswith("actor.")}
+    matrices = [array for name, array in own.items() if name.endswith("weight")]
+    if not matrices:
+        raise PolicyError("an actor has no weights; the export is damaged or of another format")
+    actor = mlp(matrices[0].shape[1], hidden, matrices[-1].shape[0], last_gain=0.01)
+    load_weights(actor, own)
+    return actor
+
+
+def load(path: str | Path) -> GlobalPolicy:
+    """Load an exported policy, from its folder or from a run directory.
+
+    Raises:
+        PolicyError: if there is no policy, it is damaged, or of another format version.
+    """
+    folder = _policy_folder(Path(path))
+    try:
+        data = json.loads((folder / POLICY_FILE).read_text(encoding="utf-8"))
+        arrays = load_file(folder / ACTORS_FILE)
+    except (OSError, ValueError, SafetensorError) as error:
+        raise PolicyError(f"cannot read the policy in {folder}: {error}") from None
+    if data.get("format") != POLICY_FORMAT:
+        raise PolicyError(f"{folder}: policy format {data.get('format')!r}; this program reads {POLICY_FORMAT}")
+    actors: dict[str, dict[str, NDArray[Any]]] = {}
+    for key, array in arrays.items():
+        pid, _, name = key.partition("/")
+        actors.setdefault(pid, {})[name] = array
+    return GlobalPolicy(
+        task_config(data["task"], source=str(folder)),
+        DFA.from_json(data["dfa"]),
+        Decomposition.from_json(data["decomposition"]),
+        [(q, pid, value) for q, pid, value in data["q_table"]],
+        actors,
+        np.array(data["rho"]),
+    )
+
+
+def _policy_folder(path: Path) -> Path:
+    for folder in (path, path / "policy"):
+        if (folder / POLICY_FILE).is_file():
+            return folder
+    raise PolicyError(f"no policy in {path}; expected {POLICY_FILE} there or in {path / 'policy'}")

@@ -1,0 +1,61 @@
+"""Writing an exported policy; ``t4nmtd_dist.policy.load`` reads it."""
+
+from __future__ import annotations
+
+import json
+import os
+import shutil
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from safetensors.numpy import save_file
+
+from t4nmtd_dist.compiled import CompiledTask
+from t4nmtd_dist.high_level import QEntries
+
+POLICY_FORMAT = 1
+POLICY_FILE = "policy.json"
+ACTORS_FILE = "actors.safetensors"
+
+
+def export_policy(
+    folder: Path,
+    task: CompiledTask,
+    q_table: QEntries,
+    weights: Mapping[str, Mapping[str, NDArray[Any]]],
+    about: Mapping[str, Any],
+) -> None:
+    """Write the global policy into ``folder``, replacing what is there only once all is written.
+
+    Args:
+        folder: its new home.
+        task: the compiled task.
+        q_table: known entries of Q(q, T).
+        weights: by pid, all parameters; only the actors' are kept.
+        about: where it comes from (interactions, versions, seed), for readers.
+    """
+    fresh = folder.with_name(folder.name + ".new")
+    shutil.rmtree(fresh, ignore_errors=True)
+    fresh.mkdir(parents=True)
+    actors = {
+        f"{pid}/{name}": np.ascontiguousarray(array)
+        for pid, named in weights.items()
+        for name, array in named.items()
+        if name.startswith("actor.")
+    }
+    save_file(actors, fresh / ACTORS_FILE)
+    data = {
+        "format": POLICY_FORMAT,
+        "about": dict(about),
+        "task": task.config.to_dict(),
+        "dfa": task.dfa.to_json(),
+        "decomposition": task.decomposition.to_json(),
+        "q_table": q_table,
+        "rho": [float(x) for x in task.rho],
+    }
+    (fresh / POLICY_FILE).write_text(json.dumps(data, indent=1), encoding="utf-8")
+    shutil.rmtree(folder, ignore_errors=True)
+    os.replace(fresh, folder)

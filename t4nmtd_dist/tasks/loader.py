@@ -1,0 +1,48 @@
+"""Find a task by name or path and fill in what its file leaves out."""
+
+from __future__ import annotations
+
+import difflib
+from collections.abc import Iterable, Mapping
+from importlib.resources import files
+from pathlib import Path
+from typing import Any
+
+from t4nmtd_dist.config import TaskConfig, merge, read_toml, settings_from_flags, task_config
+from t4nmtd_dist.errors import ConfigError
+
+
+def task_names() -> list[str]:
+    """Names of the tasks that come with the package."""
+    found = files("t4nmtd_dist.tasks").iterdir()
+    return sorted(entry.name.removesuffix(".toml") for entry in found if entry.name.endswith(".toml"))
+
+
+def load_task(name: str, *, configs: Iterable[Path] = (), flags: Iterable[str] = ()) -> TaskConfig:
+    """The settings of a task.
+
+    Args:
+        name: a name such as ``task7``, or the path of a task file of your own (``*.toml``).
+        configs: further TOML files laid over the task file, in order.
+        flags: ``section.key=value`` texts laid over everything.
+
+    Raises:
+        ConfigError: for an unknown task, an unreadable file, or settings that ``task_config`` refuses.
+    """
+    data: Mapping[str, Any] = read_toml(_find(name))
+    for path in configs:
+        data = merge(data, read_toml(path))
+    return task_config(merge(data, settings_from_flags(flags)), source=name)
+
+
+def _find(name: str) -> Path:
+    if name.endswith(".toml"):
+        return Path(name)
+    known = task_names()
+    if name not in known:
+        nearest = difflib.get_close_matches(name, known, n=1, cutoff=0)
+        raise ConfigError(
+            f"unknown task {name!r}; did you mean {nearest[0]!r}? "
+            f"Known: {', '.join(known)}, or the path of a task file that ends in .toml"
+        )
+    return Path(str(files("t4nmtd_dist.tasks") / f"{name}.toml"))

@@ -1,0 +1,1 @@
+"""Messages between processes: types, framing and sockets (docs/protocol.md)."""

@@ -1,0 +1,142 @@
+"""Framing: a msgpack header, then one raw frame per array; everything is checked before it is used."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+import msgpack
+import msgspec
+import numpy as np
+from numpy.typing import NDArray
+
+from t4nmtd_dist.errors import ProtocolError
+from t4nmtd_dist.wire.messages import KINDS, PROTOCOL_VERSION, Message
+
+Array = NDArray[Any]
+Arrays = Mapping[str, Array]
+
+DTYPES = frozenset({"<f4", "<f8", "<i4", "<i8", "|u1", "|i1", "|b1", "<u4", "<u8", "<i2", "<u2"})
+MAX_HEADER_BYTES = 4 << 20
+MAX_ARRAY_BYTES = 64 << 20
+MAX_ARRAYS = 1024
+MAX_DIMENSIONS = 8
+
+
+class Header(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """First frame of every message."""
+
+    v: int
+    kind: str
+    sender: str
+    id: int
+    body: dict[str, Any]
+    arrays: list[tuple[str, str, list[int]]]
+
+
+@dataclass(frozen=True)
+class Envelope:
+    """A message with its arrays and where it came from.
+
+    Attributes:
+        message: the typed body.
+        arrays: arrays by name; after decoding they are read-only views of the received frames.
+        sender: name the sender gave itself.
+        id: number of the message; an answer carries the number of its question.
+    """
+
+    message: Message
+    arrays: Arrays = field(default_factory=dict)
+    sender: str = ""
+    id: int = 0
+
+
+def encode(envelope: Envelope) -> list[bytes]:
+    """The frames of a message: header, then arrays (C order, little-endian)."""
+    body = msgspec.to_builtins(envelope.message)
+    kind = body.pop("type")
+    arrays = {name: np.ascontiguousarray(array) for name, array in envelope.arrays.items()}
+    listed = [(name, _dtype_name(name, array), list(array.shape)) for name, array in arrays.items()]
+    header = {
+        "v": PROTOCOL_VERSION,
+        "kind": kind,
+        "sender": envelope.sender,
+        "id": envelope.id,
+        "body": body,
+        "arrays": listed,
+    }
+    return [msgpack.packb(header), *(array.tobytes() for array in arrays.values())]
+
+
+def _dtype_name(name: str, array: Array) -> str:
+    dtype = array.dtype.str
+    if dtype not in DTYPES:
+        raise ProtocolError(f"array {name!r} has dtype {array.dtype}; the wire takes {', '.join(sorted(DTYPES))}")
+    return dtype
+
+
+def decode(frames: Sequence[bytes]) -> Envelope:
+    """Read and check the frames of one message.
+
+    Raises:
+        ProtocolError: if anything does not follow the protocol; the text says what.
+    """
+    if not frames:
+        raise ProtocolError("expected a header frame, got an empty message")
+    header = _header(frames[0])
+    kind = KINDS.get(header.kind)
+    if kind is None:
+        raise ProtocolError(f"unknown message kind {header.kind!r}; known: {', '.join(KINDS)}")
+    try:
+        message = msgspec.convert({**header.body, "type": header.kind}, kind)
+    except msgspec.ValidationError as error:
+        raise ProtocolError(f"message {header.kind!r}: {error}") from None
+    return Envelope(message, _arrays(header, frames[1:]), header.sender, header.id)
+
+
+def _header(frame: bytes) -> Header:
+    if len(frame) > MAX_HEADER_BYTES:
+        raise ProtocolError(f"header of {len(frame)} bytes; at most {MAX_HEADER_BYTES} are allowed")
+    try:
+        raw = msgpack.unpackb(frame)
+    except Exception as error:  # msgpack raises a whole family on malformed input
+        raise ProtocolError(f"the header is not msgpack: {error}") from None
+    version = raw.get("v") if isinstance(raw, dict) else None
+    if version != PROTOCOL_VERSION:
+        raise ProtocolError(f"protocol version {version!r}; this program speaks {PROTOCOL_VERSION}")
+    try:
+        return msgspec.convert(raw, Header)
+    except msgspec.ValidationError as error:
+        raise ProtocolError(f"malformed header: {error}") from None
+
+
+def _arrays(header: Header, frames: Sequence[bytes]) -> dict[str, Array]:
+    if len(header.arrays) != len(frames) or len(frames) > MAX_ARRAYS:
+        raise ProtocolError(f"{header.kind!r} announces {len(header.arrays)} arrays and carries {len(frames)}")
+    return {
+        name: _array(name, dtype, shape, frame)
+        for (name, dtype, shape), frame in zip(header.arrays, frames, strict=True)
+    }
+
+
+def _array(name: str, dtype: str, shape: list[int], frame: bytes) -> Array:
+    if dtype not in DTYPES:
+        raise ProtocolError(f"array {name!r}: dtype {dtype!r} is not allowed")
+    if len(shape) > MAX_DIMENSIONS or any(n < 0 for n in shape):
+        raise ProtocolError(f"array {name!r}: shape {shape} is not allowed")
+    expected = math.prod(shape) * np.dtype(dtype).itemsize
+    if expected > MAX_ARRAY_BYTES or expected != len(frame):
+        raise ProtocolError(f"array {name!r}: {len(frame)} bytes for shape {shape} {dtype}, expected {expected}")
+    return np.frombuffer(frame, dtype).reshape(shape)
+
+
+def with_prefix(prefix: str, arrays: Arrays) -> dict[str, Array]:
+    """The same arrays under names that begin with ``prefix``."""
+    return {prefix + name: array for name, array in arrays.items()}
+
+
+def without_prefix(prefix: str, arrays: Arrays) -> dict[str, Array]:
+    """The arrays whose names begin with ``prefix``, under the rest of their names."""
+    return {name.removeprefix(prefix): array for name, array in arrays.items() if name.startswith(prefix)}

@@ -1,0 +1,281 @@
+"""Every message of the protocol as a typed Struct; docs/protocol.md says who sends which and when.
+
+Arrays never travel inside these bodies: they follow as raw frames, by name (see ``wire.codec``). The comment
+"arrays:" in a docstring names them.
+"""
+
+from __future__ import annotations
+
+from typing import Any, Literal
+
+import msgspec
+
+PROTOCOL_VERSION = 1
+
+Role = Literal["learner", "evaluator"]
+LearnerPhase = Literal["free", "waiting", "training", "lost"]
+RunPhase = Literal["starting", "training", "solved", "budget spent", "stopped"]
+
+
+class Message(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """What all messages share: nothing but strictness."""
+
+
+class Claim(Message, frozen=True, tag="claim"):
+    """Worker -> coordinator: asks for a lease on a sub-task, or for the evaluator's place.
+
+    ``pid`` None means the next free sub-task. ``instance`` names the worker process, so that a repeated claim
+    of the same process renews its lease instead of colliding with it.
+    """
+
+    role: Role
+    instance: str
+    pid: str | None = None
+    critic_endpoint: str = ""
+
+
+class Granted(Message, frozen=True, tag="granted"):
+    """Coordinator -> worker: a lease. arrays: the newest weights of the sub-task, if any (``weights.*``)."""
+
+    role: Role
+    pid: str
+    epoch: int
+    boot_id: str
+    lease_s: float
+    seed: int
+    task: dict[str, Any]
+    dfa: dict[str, Any]
+    decomposition: dict[str, Any]
+    rho: list[float]
+    version: int = 0
+
+
+class Refused(Message, frozen=True, tag="refused"):
+    """Coordinator -> worker: no lease. ``final`` says that asking again cannot help."""
+
+    reason: Literal["unknown pid", "lease is live", "nothing free", "stale epoch", "finished"]
+    text: str
+    final: bool
+    pid: str | None = None
+
+
+class Intervention(Message, frozen=True):
+    """Counts of critic values asked from peers, in rows, since the lease began."""
+
+    asked: int = 0
+    answered: int = 0
+    late: int = 0
+    own_used: int = 0
+    lag_total: int = 0
+
+
+class LearnerStats(Message, frozen=True):
+    """Cumulative counts of one learner since its lease began; the coordinator adds earlier epochs."""
+
+    phase: LearnerPhase = "waiting"
+    interactions: int = 0
+    gradient_steps: int = 0
+    attempts: int = 0
+    successes: int = 0
+    recent_success: float | None = None
+    episode_steps: float | None = None
+    entropy: float | None = None
+    value_loss: float | None = None
+    intervention: Intervention = Intervention()
+
+
+class Sync(Message, frozen=True, tag="sync"):
+    """Learner -> coordinator, several times a second: heartbeat, progress, weights.
+
+    ``sequence`` numbers the batch of progress; a repeat of a number changes nothing. ``start_cursor`` is the
+    newest start state the learner holds. arrays: ``progress.q`` int32 [n, 3] (q, q' or -1, steps),
+    ``progress.reward`` float64 [n], ``starts.q`` int32 [m], ``starts.state`` [m, s], and ``weights.*`` when
+    ``version`` is newer than what was sent before.
+    """
+
+    pid: str
+    epoch: int
+    sequence: int
+    version: int
+    start_cursor: int
+    stats: LearnerStats
+
+
+class Peer(Message, frozen=True):
+    """Where a peer's critic answers, and the newest version of its weights that the coordinator knows."""
+
+    endpoint: str
+    version: int
+    epoch: int
+
+
+class SyncReply(Message, frozen=True, tag="sync_reply"):
+    """Coordinator -> learner. arrays: ``starts.q`` int32 [m] and ``starts.state`` [m, s], the new start states."""
+
+    pid: str
+    epoch: int
+    accepted_sequence: int
+    start_cursor: int
+    q_table: list[tuple[int, str, float]]
+    peers: dict[str, Peer]
+    command: Literal["go on", "stop"] = "go on"
+
+
+class Release(Message, frozen=True, tag="release"):
+    """Worker -> coordinator: gives a lease back."""
+
+    pid: str
+    epoch: int
+
+
+class EvaluationPoll(Message, frozen=True, tag="evaluation_poll"):
+    """Evaluator -> coordinator, every second while idle: heartbeat, and answered by a job once one is due."""
+
+    epoch: int
+
+
+class EvaluationJob(Message, frozen=True, tag="evaluation_job"):
+    """Coordinator -> evaluator. ``job`` 0: nothing to do yet. arrays: ``<pid>/weights.*`` of every sub-task."""
+
+    job: int
+    interactions: int = 0
+    q_table: list[tuple[int, str, float]] = []
+    versions: dict[str, int] = {}
+    command: Literal["go on", "stop"] = "go on"
+
+
+class EvaluationReport(Message, frozen=True, tag="evaluation_report"):
+    """Evaluator -> coordinator: what the episodes of one job came to."""
+
+    epoch: int
+    job: int
+    success_rate: float
+    mean_length: float
+    std_length: float
+    mean_return: float
+    episodes: int
+    dfa_path: list[int]
+
+
+class Goodbye(Message, frozen=True, tag="goodbye"):
+    """Coordinator -> worker: the run is over; end."""
+
+    reason: str
+
+
+class Shutdown(Message, frozen=True, tag="shutdown"):
+    """Launcher -> coordinator: end the run cleanly now."""
+
+    reason: str
+
+
+class Failure(Message, frozen=True, tag="failure"):
+    """Answer to a message that could not be understood."""
+
+    text: str
+
+
+class ValueRequest(Message, frozen=True, tag="value_request"):
+    """Learner -> peer. arrays: ``observation`` float32 [k, d] and ``q`` int32 [k], the states after the change."""
+
+    pid: str
+
+
+class ValueReply(Message, frozen=True, tag="value_reply"):
+    """Peer -> learner. arrays: ``value`` float32 [k]."""
+
+    version: int
+
+
+class LearnerRow(Message, frozen=True):
+    """One learner on the dashboard; ``heartbeat_age_s`` None: never heard of."""
+
+    pid: str
+    phase: LearnerPhase
+    worker: str
+    epoch: int
+    version: int
+    interactions: int
+    steps_per_s: float
+    updates: int
+    updates_per_s: float
+    attempts: int
+    recent_success: float | None
+    starts_waiting: int
+    heartbeat_age_s: float | None
+    intervention: Intervention
+
+
+class QCell(Message, frozen=True):
+    """One known entry of the high-level Q table."""
+
+    q: int
+    pid: str
+    value: float
+    greedy: bool
+
+
+class EvaluationRow(Message, frozen=True):
+    """One evaluation; ``dfa_path`` is the sequence of DFA states of its first episode."""
+
+    job: int
+    interactions: int
+    elapsed_s: float
+    success_rate: float
+    mean_length: float
+    std_length: float
+    mean_return: float
+    dfa_path: list[int]
+
+
+class EventLine(Message, frozen=True):
+    """Something worth telling: when (seconds since the start) and what."""
+
+    elapsed_s: float
+    text: str
+
+
+class DashboardState(Message, frozen=True, tag="dashboard_state"):
+    """Coordinator -> dashboards: the full state, so that any one message is enough to draw all."""
+
+    task: str
+    title: str
+    formula: str
+    run_dir: str
+    seed: int
+    phase: RunPhase
+    elapsed_s: float
+    interactions: int
+    max_interactions: int
+    dfa_states: int
+    accepting: list[int]
+    error: list[int]
+    dist: list[float | None]
+    solved_in_a_row: int
+    solved_needed: int
+    learners: list[LearnerRow]
+    q_table: list[QCell]
+    evaluations: list[EvaluationRow]
+    events: list[EventLine]
+
+
+KINDS: dict[str, type[Message]] = {
+    str(kind.__struct_config__.tag): kind
+    for kind in (
+        Claim,
+        Granted,
+        Refused,
+        Sync,
+        SyncReply,
+        Release,
+        EvaluationPoll,
+        EvaluationJob,
+        EvaluationReport,
+        Goodbye,
+        Shutdown,
+        Failure,
+        ValueRequest,
+        ValueReply,
+        DashboardState,
+    )
+}

@@ -1,0 +1,56 @@
+"""The evaluator's lease: weights in, twenty deterministic episodes, a report out."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+from numpy.typing import NDArray
+
+from t4nmtd_dist.evaluation import Evaluator
+from t4nmtd_dist.policy import GlobalPolicy
+from t4nmtd_dist.wire.codec import Envelope
+from t4nmtd_dist.wire.messages import EvaluationJob, EvaluationReport, Granted
+from workers.learner_session import compiled_from
+
+
+class EvaluationSession:
+    """Evaluates the composed policy whenever the coordinator hands out a job.
+
+    Args:
+        granted: the evaluator's lease.
+    """
+
+    def __init__(self, granted: Granted) -> None:
+        self.epoch = granted.epoch
+        self._task = compiled_from(granted)
+        self._seed = granted.seed
+        self._evaluator: Evaluator | None = None
+
+    def evaluate(self, envelope: Envelope) -> EvaluationReport:
+        """Run one job."""
+        job = envelope.message
+        assert isinstance(job, EvaluationJob)
+        policy = self._policy(job, envelope.arrays)
+        if self._evaluator is None:
+            episodes = self._task.config.evaluation.episodes
+            self._evaluator = Evaluator(policy, episodes, seed=self._seed)
+        result = self._evaluator.run(policy)
+        return EvaluationReport(
+            epoch=self.epoch,
+            job=job.job,
+            success_rate=result.success_rate,
+            mean_length=float(result.lengths.mean()),
+            std_length=float(result.lengths.std()),
+            mean_return=float(result.returns.mean()),
+            episodes=len(result.success),
+            dfa_path=result.dfa_path,
+        )
+
+    def _policy(self, job: EvaluationJob, arrays: Mapping[str, NDArray[Any]]) -> GlobalPolicy:
+        actors: dict[str, dict[str, NDArray[Any]]] = {}
+        for key, array in arrays.items():
+            pid, _, name = key.partition("/weights.")
+            actors.setdefault(pid, {})[name] = array
+        task = self._task
+        return GlobalPolicy(task.config, task.dfa, task.decomposition, job.q_table, actors, task.rho)

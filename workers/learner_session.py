@@ -1,0 +1,153 @@
+"""One lease on one sub-task: the learner, its copies of buffer and Q table, and what it tells the coordinator.
+
+Pure with respect to the network: messages are made and taken here, and sent elsewhere.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from t4nmtd_dist.automata.dfa import DFA
+from t4nmtd_dist.compiled import CompiledTask
+from t4nmtd_dist.config import task_config
+from t4nmtd_dist.decomposition import Decomposition
+from t4nmtd_dist.initial_state_buffer import InitialStateBuffer
+from t4nmtd_dist.learners.attempts import Progress
+from t4nmtd_dist.learners.build import build_learner, subtask_seed
+from t4nmtd_dist.learners.peers import PeerCritics
+from t4nmtd_dist.wire.codec import Envelope, without_prefix
+from t4nmtd_dist.wire.messages import Granted, Intervention, LearnerStats, Peer, Sync, SyncReply
+
+RESEND_S = 2.0
+STARTS_PER_SYNC = 64
+
+
+def compiled_from(granted: Granted) -> CompiledTask:
+    """The task as the coordinator compiled it: a worker needs no translator of its own."""
+    return CompiledTask(
+        task_config(granted.task, source="coordinator"),
+        DFA.from_json(granted.dfa),
+        Decomposition.from_json(granted.decomposition),
+        {},
+        np.array(granted.rho),
+    )
+
+
+class LearnerSession:
+    """A learner at work under a lease.
+
+    Args:
+        granted: the lease.
+        arrays: weights that came with it, if the sub-task was learned before.
+    """
+
+    def __init__(self, granted: Granted, arrays: Mapping[str, NDArray[Any]]) -> None:
+        task = compiled_from(granted)
+        self.pid, self.epoch = granted.pid, granted.epoch
+        self.buffer = InitialStateBuffer(task.config.learner.start_capacity)
+        self.high_level = task.q_table()
+        seed = subtask_seed(granted.seed, granted.pid, granted.epoch)
+        self.learner = build_learner(task, granted.pid, self.buffer, self.high_level, seed=seed)
+        self.peers: dict[str, Peer] = {}
+        self.intervention = task.config.learner.intervention
+        weights = without_prefix("weights.", arrays)
+        if weights:
+            self.learner.load(weights, granted.version)
+        self._training = False
+        self._begin_lease(sent_version=granted.version)
+
+    def _begin_lease(self, sent_version: int) -> None:
+        self._sequence = 0
+        self._start_cursor = 0
+        self._sent_version = sent_version
+        self._outstanding: Envelope | None = None
+        self._sent_at = -np.inf
+
+    def renew(self, granted: Granted) -> None:
+        """Go on under a new lease (the coordinator was started again) with everything learned so far."""
+        self.epoch = granted.epoch
+        self._begin_lease(sent_version=0)
+
+    def iterate(self, peers: PeerCritics) -> bool:
+        """One roll-out and its updates; False while there is no state to start from."""
+        self._training = self.learner.iterate(peers)
+        self._counts = peers.counts
+        return self._training
+
+    def next_sync(self, now: float, interval_s: float) -> Envelope | None:
+        """The message due now, if any: new progress once the last was answered, or the last again if it was not."""
+        if self._outstanding is not None:
+            if now < self._sent_at + RESEND_S:
+                return None
+            self._sent_at = now
+            return self._outstanding
+        if now < self._sent_at + interval_s:
+            return None
+        self._sequence += 1
+        self._outstanding = self._sync()
+        self._sent_at = now
+        return self._outstanding
+
+    def _sync(self) -> Envelope:
+        arrays = _pack(self.learner.attempts.take_progress())
+        if self.learner.version > self._sent_version:
+            self._sent_version = self.learner.version
+            arrays |= {f"weights.{name}": array for name, array in self.learner.weights().items()}
+        message = Sync(
+            pid=self.pid,
+            epoch=self.epoch,
+            sequence=self._sequence,
+            version=self.learner.version,
+            start_cursor=self._start_cursor,
+            stats=self._stats(),
+        )
+        return Envelope(message, arrays)
+
+    def _stats(self) -> LearnerStats:
+        attempts, counts = self.learner.attempts, getattr(self, "_counts", None)
+        entropy, value_loss = self.learner.losses()
+        return LearnerStats(
+            phase="training" if self._training else "waiting",
+            interactions=attempts.interactions,
+            gradient_steps=self.learner.gradient_steps,
+            attempts=attempts.attempts,
+            successes=attempts.successes,
+            recent_success=attempts.recent_success,
+            episode_steps=attempts.recent_length,
+            entropy=entropy,
+            value_loss=value_loss,
+            intervention=Intervention(**vars(counts)) if counts else Intervention(),
+        )
+
+    def take_reply(self, envelope: Envelope) -> None:
+        """Take the coordinator's answer: start states, Q table, peers."""
+        reply = envelope.message
+        if not isinstance(reply, SyncReply) or reply.epoch != self.epoch:
+            return
+        if reply.accepted_sequence >= self._sequence:
+            self._outstanding = None
+        if reply.start_cursor > self._start_cursor:
+            self._start_cursor = reply.start_cursor
+            starts = zip(envelope.arrays["starts.q"].tolist(), envelope.arrays["starts.state"], strict=True)
+            for q, state in starts:
+                self.buffer.add(q, state)
+        self.high_level.load(reply.q_table)
+        self.peers = reply.peers
+
+
+def _pack(progress: Progress) -> dict[str, NDArray[Any]]:
+    """Arrays of a Sync; of the start states the newest distinct ones, the oldest of them first."""
+    arrays: dict[str, NDArray[Any]] = {}
+    if progress.changes:
+        arrays["progress.q"] = np.array([(q, to, steps) for q, to, steps, _ in progress.changes], np.int32)
+        arrays["progress.reward"] = np.array([reward for *_, reward in progress.changes], np.float64)
+    newest = {(q, state.tobytes()): (q, state) for q, state in progress.starts}
+    kept = list(newest.values())[-STARTS_PER_SYNC:]
+    if kept:
+        arrays["starts.q"] = np.array([q for q, _ in kept], np.int32)
+        arrays["starts.state"] = np.stack([state for _, state in kept])
+    return arrays
