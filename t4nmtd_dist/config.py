@@ -87,6 +87,8 @@ class PPOConfig:
         minibatch: rows of one gradient step.
         entropy_coefficient: weight of the entropy bonus.
         gae_lambda: lambda of generalised advantage estimation.
+        advantage_floor: advantages are divided by their standard deviation, but by no less than this, so that the
+            noise of a roll-out without reward is not blown up into a policy.
     """
 
     worlds: int = 16
@@ -99,6 +101,7 @@ class PPOConfig:
     value_coefficient: float = 0.5
     gae_lambda: float = 0.95
     max_grad_norm: float = 0.5
+    advantage_floor: float = 0.1
 
 
 @dataclass(frozen=True)

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 
 import torch
 
-from coordinator.events import Action, Event, Finish, Received, RecordEvaluation, Send, Tell
+from coordinator.events import Action, Event, Finish, Interrupted, Received, RecordEvaluation, Send, Tell
 from coordinator.state import CoordinatorState, RunSettings
 from t4nmtd_dist.compiled import CompiledTask
 from t4nmtd_dist.errors import LeaseError
@@ -82,6 +82,10 @@ class SerialRun:
             self.round()
             taken, self.notes = self.notes, []
             yield taken
+
+    def stop(self, reason: str) -> None:
+        """End the run now."""
+        self._handle(Interrupted(self.clock(), reason))
 
     def round(self) -> None:
         """One round of all learners and the evaluator."""

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import copy
+import threading
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
@@ -12,6 +14,7 @@ from numpy.typing import NDArray
 from torch import Tensor, nn
 
 from t4nmtd_dist.config import LearnerConfig, PPOConfig
+from t4nmtd_dist.errors import ProtocolError
 from t4nmtd_dist.high_level import QTable
 from t4nmtd_dist.learners.attempts import Attempts, Mask
 from t4nmtd_dist.learners.networks import Weights, load_weights, mlp, product_state, weights_of
@@ -89,6 +92,47 @@ def generalised_advantages(
     return advantages
 
 
+class PublishedCritic:
+    """A copy of a critic that other threads may evaluate while the original is trained.
+
+    Args:
+        critic: the network to copy.
+        observation_size: d.
+        dfa_states: |Q|.
+    """
+
+    def __init__(self, critic: nn.Module, observation_size: int, dfa_states: int) -> None:
+        self._copy = copy.deepcopy(critic)
+        self._observation_size, self._dfa_states = observation_size, dfa_states
+        self._version = 0
+        self._lock = threading.Lock()
+
+    @torch.no_grad()
+    def update(self, critic: nn.Module, version: int) -> None:
+        """Copy newer parameters."""
+        with self._lock:
+            for mine, theirs in zip(self._copy.parameters(), critic.parameters(), strict=True):
+                mine.copy_(theirs)
+            self._version = version
+
+    @torch.no_grad()
+    def values(self, arrays: Mapping[str, NDArray[Any]]) -> tuple[Values, int]:
+        """V of the product states in a value request (``observation`` [k, d], ``q`` [k]), and the copy's version.
+
+        Raises:
+            ProtocolError: if the arrays do not have those shapes or name a DFA state that does not exist.
+        """
+        observations, q = arrays.get("observation"), arrays.get("q")
+        if observations is None or q is None or observations.shape != (len(q), self._observation_size):
+            raise ProtocolError(f"a value request needs observation [k, {self._observation_size}] and q [k]")
+        if q.dtype.kind != "i" or not ((q >= 0) & (q < self._dfa_states)).all():
+            raise ProtocolError(f"a value request names a DFA state outside 0..{self._dfa_states - 1}")
+        states = product_state(observations.astype(np.float32), q, self._dfa_states)
+        with self._lock:
+            values: Values = self._copy(states).squeeze(-1).numpy()
+            return values, self._version
+
+
 class PPOLearner:
     """Acts in all attempts of a sub-task and learns from them, one roll-out at a time.
 
@@ -124,6 +168,7 @@ class PPOLearner:
             self.network = ActorCritic(observation_size + dfa_states, actions, config.hidden)
         self._optimiser = torch.optim.Adam(self.network.parameters(), lr=ppo.learning_rate, eps=1e-5, fused=True)
         self._rollout = Rollout.empty(ppo.rollout, count, observation_size + dfa_states, observation_size)
+        self.published = PublishedCritic(self.network.critic, observation_size, dfa_states)
         self.gradient_steps = 0
         self.version = 0
         self._last_losses: tuple[Tensor, Tensor] | None = None
@@ -148,6 +193,7 @@ class PPOLearner:
         """Go on from weights learned before."""
         load_weights(self.network, weights)
         self.version = version
+        self.published.update(self.network.critic, version)
 
     def iterate(self, peers: PeerCritics) -> bool:
         """Collect one roll-out and learn from it; False while there is no state to start from."""
@@ -205,6 +251,7 @@ class PPOLearner:
         )
         self._epochs(advantages.reshape(-1), (advantages + values).reshape(-1))
         self.version += 1
+        self.published.update(self.network.critic, self.version)
 
     def _bootstrap(self, peers: PeerCritics) -> tuple[Floats, Floats]:
         """V(s_t) and the bootstrap values of s_{t+1}, float32 [T, N] each (the critic target with intervention)."""
@@ -229,7 +276,7 @@ class PPOLearner:
         states = torch.from_numpy(rollout.states.reshape(len(advantages), -1))
         actions = torch.from_numpy(rollout.actions.reshape(-1))
         log_probs = torch.from_numpy(rollout.log_probs.reshape(-1))
-        normal = (advantages - advantages.mean()) / (advantages.std() + 1e-8)
+        normal = (advantages - advantages.mean()) / max(float(advantages.std()), ppo.advantage_floor)
         columns = (states, actions, log_probs, torch.from_numpy(normal), torch.from_numpy(returns))
         for _ in range(ppo.epochs):
             order = torch.from_numpy(self._rng.permutation(len(advantages)))
@@ -249,7 +296,7 @@ class PPOLearner:
         value_loss = (self.network.value(states) - returns).square().mean()
         loss = policy_loss + ppo.value_coefficient * value_loss - ppo.entropy_coefficient * entropy
         self._optimiser.zero_grad(set_to_none=True)
-        loss.backward()
+        loss.backward()  # type: ignore[no-untyped-call]
         nn.utils.clip_grad_norm_(self.network.parameters(), ppo.max_grad_norm)
         self._optimiser.step()
         self.gradient_steps += 1

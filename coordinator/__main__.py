@@ -1,0 +1,85 @@
+"""``t4nmtd-coordinator``: owns a task and waits for workers."""
+
+from __future__ import annotations
+
+import os
+import signal
+import sys
+from dataclasses import dataclass
+from types import FrameType
+
+import tyro
+
+from t4nmtd_dist.cli.options import RunOptions
+from t4nmtd_dist.wire.sockets import DEFAULT_CONTROL, DEFAULT_STATE
+
+EXIT_CODES = {"solved": 0, "budget spent": 3, "stopped": 130}
+
+
+@dataclass(frozen=True)
+class CoordinatorCommand(RunOptions):
+    """Coordinate the learners of a task until it is solved or the budget is spent."""
+
+    bind: str = DEFAULT_CONTROL
+    """Endpoint on which workers are heard."""
+    publish: str = DEFAULT_STATE
+    """Endpoint on which the state is published for dashboards."""
+    insecure: bool = False
+    """Allow addresses that other machines can reach."""
+    no_dashboard: bool = False
+    """Show nothing on this terminal but the outcome."""
+    lifeline: bool = False
+    """End when the process that started this one ends (used by `t4nmtd train`)."""
+
+
+def main() -> None:
+    """Entry point of ``t4nmtd-coordinator``."""
+    sys.exit(run(tyro.cli(CoordinatorCommand, prog="t4nmtd-coordinator")))
+
+
+def run(command: CoordinatorCommand) -> int:
+    """Run a coordinator; the exit code: 0 solved, 3 budget spent, 130 stopped, 2 usage."""
+    from t4nmtd_dist.errors import T4NMTDError
+    from t4nmtd_dist.launch.lifeline import end_with_parent
+
+    if command.lifeline:
+        end_with_parent()
+    try:
+        return _serve(command)
+    except T4NMTDError as error:
+        print(f"t4nmtd-coordinator: {error}", file=sys.stderr)
+        return 2
+
+
+def _serve(command: CoordinatorCommand) -> int:
+    from coordinator.service import CoordinatorService
+    from coordinator.state import CoordinatorState, RunSettings
+    from coordinator.viewer import BackgroundViewer
+    from t4nmtd_dist.compiled import compile_task
+    from t4nmtd_dist.wire.sockets import new_context
+
+    config = command.load()
+    task = compile_task(config, translator=command.translator, seed=command.seed)
+    directory = command.directory(config.name)
+    settings = RunSettings(command.seed, config.max_interactions, os.urandom(8).hex(), str(directory))
+    state = CoordinatorState(task, settings)
+    endpoints = (command.bind, command.publish)
+    service = CoordinatorService(state, directory, endpoints, restart=command.restart, insecure=command.insecure)
+
+    def stop(number: int, _: FrameType | None) -> None:
+        service.interrupt(signal.Signals(number).name)
+
+    for number in (signal.SIGINT, signal.SIGTERM):
+        signal.signal(number, stop)
+    viewer = None if command.no_dashboard else BackgroundViewer(new_context(), service.publish)
+    try:
+        service.serve()
+    finally:
+        if viewer is not None:
+            viewer.close()
+    print(f"{config.name}: {state.outcome} after {state.interactions} interactions; run directory {directory}")
+    return EXIT_CODES[state.outcome or "stopped"]
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,92 @@
+"""Writes what the coordinator's state machine says into the run directory."""
+
+from __future__ import annotations
+
+from coordinator.events import Action, Finish, RecordEvaluation, Tell
+from coordinator.snapshot import summary
+from coordinator.state import CoordinatorState
+from t4nmtd_dist.runs.directory import RunDirectory
+from t4nmtd_dist.runs.exported import export_policy
+from t4nmtd_dist.wire.messages import EvaluationRow
+
+METRICS_EVERY_S = 5.0
+
+
+class Recorder:
+    """Keeps events, metrics, the summary and the policy of a run.
+
+    Args:
+        state: the coordinator's state.
+        run: where to write.
+    """
+
+    def __init__(self, state: CoordinatorState, run: RunDirectory) -> None:
+        self._state, self._run = state, run
+        self._metrics_due = 0.0
+        settings = state.settings
+        run.write_settings(state.task.config, settings.seed, settings.max_interactions)
+
+    def record(self, action: Action) -> None:
+        """Write one action down, if it is of that kind."""
+        if isinstance(action, Tell):
+            self._run.log_event(action.elapsed_s, action.text)
+        elif isinstance(action, RecordEvaluation):
+            self._evaluation(action.row)
+        elif isinstance(action, Finish):
+            self._finish()
+
+    def _evaluation(self, row: EvaluationRow) -> None:
+        self._run.append_metrics(
+            "evaluations",
+            {
+                "elapsed_s": round(row.elapsed_s, 3),
+                "interactions": row.interactions,
+                "success_rate": row.success_rate,
+                "mean_length": row.mean_length,
+                "std_length": row.std_length,
+                "mean_return": row.mean_return,
+            },
+        )
+
+    def metrics(self) -> None:
+        """Append every learner's counts, every few seconds."""
+        state = self._state
+        if state.elapsed_s < self._metrics_due:
+            return
+        self._metrics_due = state.elapsed_s + METRICS_EVERY_S
+        for pid, record in state.records.items():
+            total = record.total
+            self._run.append_metrics(
+                pid,
+                {
+                    "elapsed_s": round(state.elapsed_s, 3),
+                    "interactions_of_all": state.interactions,
+                    "interactions": total.interactions,
+                    "gradient_steps": total.gradient_steps,
+                    "attempts": total.attempts,
+                    "successes": total.successes,
+                    "recent_success": total.recent_success,
+                    "episode_steps": total.episode_steps,
+                    "entropy": total.entropy,
+                    "value_loss": total.value_loss,
+                    "start_states": len(record.buffer),
+                    "asked": total.intervention.asked,
+                    "answered": total.intervention.answered,
+                    "own_used": total.intervention.own_used,
+                },
+            )
+
+    def _finish(self) -> None:
+        state = self._state
+        self._metrics_due = 0.0
+        self.metrics()
+        snapshot = state.evaluations.last
+        if snapshot is not None:
+            about = {
+                "interactions": snapshot.interactions,
+                "versions": snapshot.versions,
+                "seed": state.settings.seed,
+                "outcome": state.outcome,
+            }
+            export_policy(self._run.path / "policy", state.task, snapshot.q_table, snapshot.weights, about)
+        self._run.write_summary(summary(state))

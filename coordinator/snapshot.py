@@ -1,0 +1,123 @@
+"""The coordinator's full state as dashboards see it, and the run's summary."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+from coordinator.records import LearnerRecord, add_interventions
+from coordinator.state import CoordinatorState
+from t4nmtd_dist.wire.messages import DashboardState, EvaluationRow, Intervention, LearnerPhase, LearnerRow, QCell
+
+EVALUATIONS_SHOWN = 200
+
+
+def dashboard_state(state: CoordinatorState) -> DashboardState:
+    """Everything a dashboard draws."""
+    task = state.task
+    return DashboardState(
+        task=task.config.name,
+        title=task.config.title,
+        formula=" ".join(task.config.formula.split()),
+        run_dir=state.settings.run_dir,
+        seed=state.settings.seed,
+        phase=state.phase,
+        elapsed_s=state.elapsed_s,
+        interactions=state.interactions,
+        max_interactions=state.settings.max_interactions,
+        dfa_states=task.dfa.states,
+        accepting=sorted(task.dfa.accepting),
+        error=sorted(task.dfa.error),
+        dist=[_finite(task.dist.get(q, math.inf)) for q in range(task.dfa.states)],
+        solved_in_a_row=state.evaluations.in_a_row,
+        solved_needed=task.config.evaluation.in_a_row,
+        learners=[_learner_row(state, pid, record) for pid, record in state.records.items()],
+        q_table=_q_cells(state),
+        evaluations=thinned(state.evaluations.history, EVALUATIONS_SHOWN),
+        events=list(state.events),
+    )
+
+
+def _finite(number: float) -> float | None:
+    return number if math.isfinite(number) else None
+
+
+def _learner_row(state: CoordinatorState, pid: str, record: LearnerRecord) -> LearnerRow:
+    lease, total = state.leases.get(pid), record.total
+    steps_per_s, updates_per_s = record.rates() if state.outcome is None else (0.0, 0.0)
+    return LearnerRow(
+        pid=pid,
+        phase=_phase(state, pid, total.phase),
+        worker=lease.instance if lease else "",
+        epoch=lease.epoch if lease else 0,
+        version=record.version,
+        interactions=total.interactions,
+        steps_per_s=steps_per_s,
+        updates=total.gradient_steps,
+        updates_per_s=updates_per_s,
+        attempts=total.attempts,
+        recent_success=total.recent_success,
+        starts_waiting=len(record.buffer),
+        heartbeat_age_s=state.now - lease.heard if lease else None,
+        intervention=total.intervention,
+    )
+
+
+def _phase(state: CoordinatorState, pid: str, reported: LearnerPhase) -> LearnerPhase:
+    lease = state.leases.get(pid)
+    if lease is None:
+        return "free"
+    return reported if state.leases.live(pid, state.now) or state.outcome is not None else "lost"
+
+
+def _q_cells(state: CoordinatorState) -> list[QCell]:
+    return [
+        QCell(q=q, pid=pid, value=value, greedy=state.high_level.greedy(q) == pid)
+        for q, pid, value in state.high_level.entries()
+    ]
+
+
+def thinned(history: list[EvaluationRow], most: int) -> list[EvaluationRow]:
+    """At most ``most`` rows, evenly spread, the newest always among them."""
+    stride = max(1, math.ceil(len(history) / most))
+    return history[::-1][::stride][::-1]
+
+
+def summary(state: CoordinatorState) -> dict[str, Any]:
+    """What ``summary.json`` holds once a run is over."""
+    evaluations = state.evaluations
+    last = evaluations.history[-1] if evaluations.history else None
+    counts = Intervention()
+    for record in state.records.values():
+        counts = add_interventions(counts, record.total.intervention)
+    solved = state.outcome == "solved"
+    return {
+        "task": state.task.config.name,
+        "seed": state.settings.seed,
+        "outcome": state.outcome,
+        "solved": solved,
+        "converged": evaluations.converged,
+        "interactions": evaluations.solved_at if solved else state.interactions,
+        "interactions_total": state.interactions,
+        "success_rate": last.success_rate if last else 0.0,
+        "episode_length": last.mean_length if last else None,
+        "evaluations": len(evaluations.history),
+        "wall_s": round(state.elapsed_s, 3),
+        "gradient_steps": sum(record.total.gradient_steps for record in state.records.values()),
+        "intervention": {
+            "asked": counts.asked,
+            "answered": counts.answered,
+            "late": counts.late,
+            "own_used": counts.own_used,
+            "lag_mean": counts.lag_total / counts.answered if counts.answered else None,
+        },
+        "learners": {
+            pid: {
+                "interactions": record.total.interactions,
+                "attempts": record.total.attempts,
+                "successes": record.total.successes,
+                "gradient_steps": record.total.gradient_steps,
+            }
+            for pid, record in state.records.items()
+        },
+    }

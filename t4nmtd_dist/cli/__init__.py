@@ -1,0 +1,1 @@
+"""The ``t4nmtd`` command and its subcommands."""

@@ -1,0 +1,141 @@
+"""The subcommands of ``t4nmtd`` as dataclasses; each imports what it needs only when it runs."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Annotated, Literal
+
+import tyro
+
+from t4nmtd_dist.cli.options import RunOptions
+from t4nmtd_dist.wire.sockets import DEFAULT_STATE
+
+
+@dataclass(frozen=True)
+class Train(RunOptions):
+    """Train a task on this machine until it is solved or the budget is spent (exit code 0 or 3)."""
+
+    no_dashboard: bool = False
+    """Show nothing until the end."""
+    serial: bool = False
+    """One process, in lock-step, bit-reproducible from the seed; for debugging."""
+
+    def run(self) -> int:
+        """Train."""
+        from t4nmtd_dist.cli.train import train, train_serial
+
+        return train_serial(self) if self.serial else train(self, dashboard=not self.no_dashboard)
+
+
+@dataclass(frozen=True)
+class Evaluate:
+    """Evaluate the policy of a run, or an exported policy folder."""
+
+    run_or_policy: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="RUN")]
+    """A run directory or a folder with an exported policy."""
+    episodes: int = 20
+    """How many episodes."""
+    seed: int = 1_000_000
+    """Seed of the environment's resets and of perturbations."""
+    perturb: int = 0
+    """Begin each episode with k random actions, k uniform from 0 to this."""
+    as_json: Annotated[bool, tyro.conf.arg(name="json")] = False
+    """Print JSON instead of a sentence."""
+
+    def run(self) -> int:
+        """Evaluate."""
+        from t4nmtd_dist.cli.evaluate import evaluate
+
+        return evaluate(
+            self.run_or_policy, episodes=self.episodes, seed=self.seed, perturb=self.perturb, as_json=self.as_json
+        )
+
+
+@dataclass(frozen=True)
+class Inspect:
+    """Show a task's automaton and how it is split into sub-tasks."""
+
+    task: str | None = None
+    """Name of a task, or the path of a task file."""
+    formula: str | None = None
+    """An LTLf formula in place of a task."""
+    as_json: Annotated[bool, tyro.conf.arg(name="json")] = False
+    """Print JSON for machines."""
+    svg: Path | None = None
+    """Also draw the automaton into this file."""
+    translator: Literal["auto", "mona", "python"] = "auto"
+    """How the formula becomes an automaton."""
+    set: Annotated[list[str], tyro.conf.UseAppendAction, tyro.conf.arg(metavar="KEY=VALUE")] = field(
+        default_factory=list
+    )
+    """One setting, such as decomposition.prune=false; may be repeated."""
+
+    def run(self) -> int:
+        """Inspect."""
+        from rich.console import Console
+
+        from t4nmtd_dist.cli.inspect import run_inspect
+        from t4nmtd_dist.config import DecompositionConfig
+        from t4nmtd_dist.errors import ConfigError
+        from t4nmtd_dist.tasks import load_task
+
+        if (self.task is None) == (self.formula is None):
+            raise ConfigError("expected either --task NAME or --formula TEXT")
+        config = load_task(self.task, flags=self.set) if self.task is not None else None
+        settings = config.decomposition if config else DecompositionConfig()
+        run_inspect(
+            name=config.name if config else "formula",
+            title=config.title if config else "",
+            formula=config.formula if config else self.formula or "",
+            exclusive=config.exclusive if config else (),
+            propositions=config.propositions if config else None,
+            translator=self.translator,
+            mode=settings.mode,
+            prune=settings.prune,
+            dist_mode=settings.dist,
+            as_json=self.as_json,
+            svg=self.svg,
+            console=Console(),
+        )
+        return 0
+
+
+@dataclass(frozen=True)
+class Tasks:
+    """List the tasks that come with the package."""
+
+    def run(self) -> int:
+        """List."""
+        from t4nmtd_dist.tasks import load_task, task_names
+
+        for name in task_names():
+            print(f"{name}  {load_task(name).title}")
+        return 0
+
+
+@dataclass(frozen=True)
+class Dashboard:
+    """Attach a live dashboard to a running coordinator."""
+
+    connect: str = DEFAULT_STATE
+    """Endpoint on which the coordinator publishes its state."""
+    wait: float = 60.0
+    """Seconds without any state after which to give up."""
+    svg: Path | None = None
+    """Write the first page received as a picture into this file, and end."""
+    width: int = 120
+    """Width of the picture in characters."""
+    height: int = 36
+    """Height of the picture in lines."""
+
+    def run(self) -> int:
+        """Watch."""
+        from t4nmtd_dist.cli.dashboard import follow, save_picture
+
+        if self.svg is not None:
+            return save_picture(self.connect, self.wait, self.svg, self.width, self.height)
+        return follow(self.connect, self.wait)
+
+
+Command = Train | Evaluate | Inspect | Tasks | Dashboard

@@ -1,0 +1,50 @@
+"""``t4nmtd dashboard``: attach to a running coordinator."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from coordinator.dashboard import export_svg
+from coordinator.viewer import watch
+from t4nmtd_dist.errors import RunError
+from t4nmtd_dist.wire.messages import DashboardState
+from t4nmtd_dist.wire.sockets import new_context, receive, subscribe
+
+
+def follow(endpoint: str, wait_s: float) -> int:
+    """Show the dashboard until the run is over.
+
+    Raises:
+        RunError: if nothing is published there for ``wait_s``.
+    """
+    context = new_context()
+    try:
+        last = watch(context, endpoint, keep_going=lambda: True, silence_s=wait_s)
+    finally:
+        context.term()
+    if last is None:
+        raise RunError(_silence(endpoint, wait_s))
+    return 0
+
+
+def save_picture(endpoint: str, wait_s: float, path: Path, width: int, height: int) -> int:
+    """Write the next published state as an SVG picture.
+
+    Raises:
+        RunError: if nothing is published there for ``wait_s``.
+    """
+    context = new_context()
+    socket = subscribe(context, endpoint)
+    try:
+        envelope = receive(socket, wait_s)
+    finally:
+        socket.close(0)
+        context.term()
+    if envelope is None or not isinstance(envelope.message, DashboardState):
+        raise RunError(_silence(endpoint, wait_s))
+    export_svg(envelope.message, path, width, height)
+    return 0
+
+
+def _silence(endpoint: str, wait_s: float) -> str:
+    return f"nothing was published at {endpoint} for {wait_s:.0f} s; is a coordinator running there (--connect)?"

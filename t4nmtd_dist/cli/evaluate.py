@@ -1,0 +1,51 @@
+"""``t4nmtd evaluate``: episodes of an exported policy."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from t4nmtd_dist.errors import ConfigError
+from t4nmtd_dist.evaluation import EvaluationResult, Evaluator
+from t4nmtd_dist.policy import load
+
+EPISODES_AT_ONCE = 50
+
+
+def evaluate(path: Path, *, episodes: int, seed: int, perturb: int, as_json: bool) -> int:
+    """Run episodes and print what they came to."""
+    if episodes < 1 or perturb < 0:
+        raise ConfigError(f"expected at least one episode and --perturb of 0 or more; got {episodes} and {perturb}")
+    policy = load(path)
+    results: list[EvaluationResult] = []
+    for first in range(0, episodes, EPISODES_AT_ONCE):
+        evaluator = Evaluator(policy, min(EPISODES_AT_ONCE, episodes - first), seed=seed + first)
+        results.append(evaluator.run(policy, perturb=perturb))
+    found = _joined(results)
+    if as_json:
+        print(json.dumps({"task": policy.config.name, **found}))
+    else:
+        _print_sentence(policy.config.name, found, perturb)
+    return 0
+
+
+def _joined(results: list[EvaluationResult]) -> dict[str, Any]:
+    success = np.concatenate([result.success for result in results])
+    return {
+        "success_rate": float(success.mean()),
+        "mean_length": float(np.concatenate([result.lengths for result in results]).mean()),
+        "mean_return": float(np.concatenate([result.returns for result in results]).mean()),
+        "episodes": len(success),
+        "redrawn": sum(result.redrawn for result in results),
+    }
+
+
+def _print_sentence(task: str, found: dict[str, Any], perturb: int) -> None:
+    starts = f" from starts perturbed by up to {perturb} random actions ({found['redrawn']} redrawn)" if perturb else ""
+    print(
+        f"{task}: {found['success_rate']:.1%} of {found['episodes']} episodes succeeded{starts}; "
+        f"mean length {found['mean_length']:.1f}, mean return {found['mean_return']:.1f}"
+    )

@@ -1,0 +1,32 @@
+"""Entry point of ``t4nmtd``."""
+
+from __future__ import annotations
+
+import os
+import sys
+
+import tyro
+
+from t4nmtd_dist.cli.commands import Command
+from t4nmtd_dist.errors import T4NMTDError
+
+
+def main() -> None:
+    """Parse the command line, run the subcommand, and exit with its code; 2 for anything a user can mend."""
+    os.environ.setdefault("OMP_NUM_THREADS", "1")  # before torch is imported
+    command = tyro.cli(Command, prog="t4nmtd", description="Learn tasks with memory.")
+    try:
+        code = command.run()
+    except T4NMTDError as error:
+        print(f"t4nmtd: {error}", file=sys.stderr)
+        code = 2
+    except KeyboardInterrupt:
+        code = 130
+    except BrokenPipeError:
+        sys.stderr.close()
+        code = 0
+    sys.exit(code)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,114 @@
+"""``t4nmtd train``: the newcomer's door. Starts everything on this machine and shows the dashboard."""
+
+from __future__ import annotations
+
+import os
+import signal
+import time
+from pathlib import Path
+
+from t4nmtd_dist.cli.options import RunOptions
+from t4nmtd_dist.compiled import CompiledTask, compile_task
+from t4nmtd_dist.launch.local import LocalProcesses
+from t4nmtd_dist.runs.directory import RunDirectory, read_summary
+
+SOLVED, BUDGET_SPENT, STOPPED = 0, 3, 130
+LAST_STATE_S = 4.0
+
+
+class _Interrupted:
+    """Remembers that Ctrl-C or SIGTERM came."""
+
+    def __init__(self) -> None:
+        self.seen = False
+        for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
+            signal.signal(number, self._see)
+
+    def _see(self, *_: object) -> None:
+        self.seen = True
+
+
+def train(options: RunOptions, *, dashboard: bool) -> int:
+    """Train with local processes; the exit code: 0 solved, 3 budget spent, 130 interrupted."""
+    config = options.load()
+    task = compile_task(config, translator=options.translator, seed=options.seed)
+    directory = RunDirectory(options.directory(config.name), restart=options.restart).path
+    interrupted = _Interrupted()
+    processes = LocalProcesses(directory)
+    try:
+        control, publish = processes.start_coordinator(_coordinator_arguments(options))
+        for pid in task.decomposition.pids:
+            processes.start_worker(pid.replace("~", "not-"), ["--pid", pid, "--connect", control])
+        processes.start_worker("evaluator", ["--evaluate", "--connect", control])
+        _watch(processes, publish, interrupted, dashboard)
+        if interrupted.seen:
+            processes.interrupt()
+        code = processes.coordinator_exit_code(LAST_STATE_S)
+    finally:
+        processes.end()
+    if interrupted.seen:
+        code = STOPPED
+    _report(directory)
+    return STOPPED if code is None else code
+
+
+def _coordinator_arguments(options: RunOptions) -> list[str]:
+    arguments = ["--task", options.task, "--seed", str(options.seed), "--translator", options.translator]
+    if options.max_interactions is not None:
+        arguments += ["--max-interactions", str(options.max_interactions)]
+    for path in options.config:
+        arguments += ["--config", str(path)]
+    for flag in options.set:
+        arguments += ["--set", flag]
+    return arguments
+
+
+def _watch(processes: LocalProcesses, publish: str, interrupted: _Interrupted, dashboard: bool) -> None:
+    def keep_going() -> bool:
+        return processes.check() and not interrupted.seen
+
+    if dashboard:
+        from coordinator.viewer import watch
+        from t4nmtd_dist.wire.sockets import new_context
+
+        context = new_context()
+        watch(context, publish, keep_going=keep_going)
+        context.term()
+    else:
+        while keep_going():
+            time.sleep(0.1)
+
+
+def _report(directory: Path) -> None:
+    summary = read_summary(directory)
+    print(
+        f"{summary['task']} seed {summary['seed']}: {summary['outcome']}; interactions {summary['interactions']}, "
+        f"success {summary['success_rate']:.0%}, {summary['wall_s']:.0f} s; run directory {directory}"
+    )
+
+
+def train_serial(options: RunOptions) -> int:
+    """Train in one process, in lock-step; the exit code as of ``train``."""
+    os.environ.setdefault("OMP_NUM_THREADS", "1")
+    from coordinator.recorder import Recorder
+    from coordinator.state import RunSettings
+    from t4nmtd_dist.launch.serial import SerialRun
+
+    config = options.load()
+    task: CompiledTask = compile_task(config, translator=options.translator, seed=options.seed)
+    run_dir = RunDirectory(options.directory(config.name), restart=options.restart)
+    settings = RunSettings(options.seed, config.max_interactions, "serial", str(run_dir.path), lease_s=float("inf"))
+    interrupted = _Interrupted()
+    run = SerialRun(task, settings, time.monotonic)
+    recorder = Recorder(run.coordinator, run_dir)
+    for notes in run.steps():
+        for note in notes:
+            recorder.record(note)
+        recorder.metrics()
+        if interrupted.seen:
+            run.stop("interrupted")
+    for note in run.notes:
+        recorder.record(note)
+    _report(run_dir.path)
+    codes = {"solved": SOLVED, "budget spent": BUDGET_SPENT}
+    return codes.get(run.coordinator.outcome or "", STOPPED)

@@ -1,0 +1,156 @@
+"""A whole training as processes on this machine: coordinator, one worker per sub-task, evaluator."""
+
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+import sys
+import time
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import IO
+
+from t4nmtd_dist.errors import RunError
+from t4nmtd_dist.runs.directory import ENDPOINTS_FILE
+
+START_DEADLINE_S = 60.0
+END_DEADLINE_S = 3.0
+RESTART_PAUSE_S = 0.5
+MOST_RESTARTS = 20
+
+
+@dataclass
+class _Child:
+    """A process of ours, and how often it was started again."""
+
+    name: str
+    command: list[str]
+    log: Path
+    process: subprocess.Popen[bytes]
+    restarts: int = 0
+    restart_at: float | None = None
+
+
+@dataclass
+class LocalProcesses:
+    """Starts, watches and ends the processes of one training.
+
+    A worker that dies is started again under the same instance name, so that the coordinator gives it its own
+    sub-task back at once, under a new epoch.
+
+    Args:
+        run_dir: the run directory; every process logs into its ``logs`` folder.
+    """
+
+    run_dir: Path
+    _children: dict[str, _Child] = field(default_factory=dict)
+    _coordinator: subprocess.Popen[bytes] | None = None
+
+    def start_coordinator(self, arguments: Sequence[str]) -> tuple[str, str]:
+        """Start the coordinator on free ports; its control and state endpoints.
+
+        Raises:
+            RunError: if it ends at once or does not listen in time; the text is its own message.
+        """
+        endpoints = self.run_dir / ENDPOINTS_FILE
+        endpoints.unlink(missing_ok=True)
+        command = [*_role("coordinator"), *arguments, "--bind", "tcp://127.0.0.1:*", "--publish", "tcp://127.0.0.1:*"]
+        command += ["--run-dir", str(self.run_dir), "--no-dashboard", "--lifeline"]
+        process = subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, start_new_session=True)
+        self._coordinator = process
+        deadline = time.monotonic() + START_DEADLINE_S
+        while not endpoints.exists():
+            if process.poll() is not None:
+                raise RunError(_last_words(process))
+            if time.monotonic() > deadline:
+                raise RunError(f"the coordinator did not listen within {START_DEADLINE_S:.0f} s")
+            time.sleep(0.02)
+        found = json.loads(endpoints.read_text(encoding="utf-8"))
+        return found["control"], found["state"]
+
+    def start_worker(self, name: str, arguments: Sequence[str]) -> None:
+        """Start a worker whose log and instance are called ``name``."""
+        command = [*_role("workers"), *arguments, "--instance", name, "--lifeline"]
+        log = self.run_dir / "logs" / f"{name}.log"
+        self._children[name] = _Child(name, command, log, _spawn(command, log))
+
+    def processes(self) -> dict[str, int]:
+        """Process numbers of the workers by name."""
+        return {name: child.process.pid for name, child in self._children.items()}
+
+    def check(self) -> bool:
+        """Start dead workers again; False once the coordinator has ended.
+
+        Raises:
+            RunError: if a worker keeps dying; the text is the end of its log.
+        """
+        if self._coordinator is None or self._coordinator.poll() is not None:
+            return False
+        for child in self._children.values():
+            if child.process.poll() not in (None, 0):
+                self._revive(child)
+        return True
+
+    def _revive(self, child: _Child) -> None:
+        now = time.monotonic()
+        if child.restart_at is None:
+            child.restart_at = now + RESTART_PAUSE_S * 2 ** min(child.restarts, 5)
+        if now < child.restart_at:
+            return
+        if child.process.returncode == 2 or child.restarts >= MOST_RESTARTS:
+            raise RunError(f"worker {child.name} ended with code {child.process.returncode}: {_tail(child.log)}")
+        child.restarts += 1
+        child.restart_at = None
+        child.process = _spawn(child.command, child.log)
+
+    def coordinator_exit_code(self, timeout_s: float) -> int | None:
+        """The coordinator's exit code; None if it does not end within ``timeout_s``."""
+        if self._coordinator is None:
+            return None
+        try:
+            return self._coordinator.wait(timeout_s)
+        except subprocess.TimeoutExpired:
+            return None
+
+    def interrupt(self) -> None:
+        """Ask the coordinator to end the run."""
+        if self._coordinator is not None and self._coordinator.poll() is None:
+            self._coordinator.terminate()
+
+    def end(self) -> None:
+        """End whatever still runs, politely first; returns within a few seconds."""
+        running = [child.process for child in self._children.values()]
+        running += [self._coordinator] if self._coordinator is not None else []
+        for process in running:
+            if process.poll() is None:
+                process.terminate()
+        deadline = time.monotonic() + END_DEADLINE_S
+        for process in running:
+            try:
+                process.wait(max(0.0, deadline - time.monotonic()))
+            except subprocess.TimeoutExpired:
+                process.kill()
+                process.wait()
+
+
+def _role(package: str) -> list[str]:
+    return [sys.executable, "-m", package]
+
+
+def _spawn(command: list[str], log: Path) -> subprocess.Popen[bytes]:
+    environment = {**os.environ, "OMP_NUM_THREADS": "1", "MKL_NUM_THREADS": "1"}
+    with log.open("ab") as file:
+        return subprocess.Popen(command, stdout=file, stderr=file, env=environment, start_new_session=True)
+
+
+def _last_words(process: subprocess.Popen[bytes]) -> str:
+    stream: IO[bytes] | None = process.stderr
+    said = stream.read().decode(errors="replace").strip() if stream else ""
+    return said.removeprefix("t4nmtd-coordinator: ") or f"the coordinator ended with code {process.returncode}"
+
+
+def _tail(log: Path) -> str:
+    lines = log.read_text(encoding="utf-8", errors="replace").strip().splitlines()
+    return "\n".join(lines[-10:])

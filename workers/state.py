@@ -1,0 +1,185 @@
+"""A worker's claims and leases as a pure state machine: events in, actions out; no sockets, no clock."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+
+from t4nmtd_dist.wire.messages import Claim, Goodbye, Granted, Message, Refused, Role
+
+FIRST_RETRY_S = 0.25
+LONGEST_RETRY_S = 4.0
+STANDBY_RETRY_S = 1.0
+NEXT_SHARE_S = 5.0
+REMINDER_S = 5.0
+
+
+@dataclass(frozen=True)
+class Ask:
+    """Send a claim."""
+
+    claim: Claim
+
+
+@dataclass(frozen=True)
+class Begin:
+    """Start work under a lease, or go on under a new one."""
+
+    granted: Granted
+
+
+@dataclass(frozen=True)
+class End:
+    """Stop work on a sub-task: its lease is over."""
+
+    pid: str
+    reason: str
+
+
+@dataclass(frozen=True)
+class Say:
+    """Tell the person at the terminal."""
+
+    text: str
+
+
+@dataclass(frozen=True)
+class Exit:
+    """End the process."""
+
+    code: int
+    text: str
+
+
+Action = Ask | Begin | End | Say | Exit
+
+
+@dataclass
+class _Place:
+    """Something this worker wants to hold: a given pid, or None for any free one."""
+
+    wanted: str | None
+    held: str | None = None
+    next_try: float = 0.0
+    retry: float = FIRST_RETRY_S
+
+
+@dataclass
+class WorkerState:
+    """What one worker process holds and asks for.
+
+    Args:
+        role: learner or evaluator.
+        instance: name of this process.
+        pids: sub-tasks to claim; empty for the next free ones.
+        coordinator: its endpoint, for messages to people.
+        critic_endpoint: where this process answers critic requests.
+        wait_s: seconds without any word from the coordinator after which to give up.
+        now: the clock at the start.
+    """
+
+    role: Role
+    instance: str
+    pids: Sequence[str]
+    coordinator: str
+    critic_endpoint: str
+    wait_s: float
+    now: float
+    _places: list[_Place] = field(init=False)
+
+    def __post_init__(self) -> None:
+        wanted: list[str | None] = list(self.pids) or [None]
+        self._places = [_Place(pid, next_try=self.now) for pid in wanted]
+        self._heard = self._reminded = self.now
+        self._share_due: float | None = None
+        self._standing_by = False
+
+    @property
+    def held(self) -> list[str]:
+        """The places held now."""
+        return [place.held for place in self._places if place.held is not None]
+
+    def tick(self, now: float) -> list[Action]:
+        """Time has passed: claim what is due, or give up."""
+        silent = now - self._heard
+        if silent > self.wait_s:
+            text = (
+                f"no coordinator answered at {self.coordinator} for {self.wait_s:.0f} s; "
+                "start one with `t4nmtd-coordinator --task NAME`, or point --connect at it"
+            )
+            return [Exit(2, text)]
+        actions: list[Action] = []
+        if silent > REMINDER_S and now > self._reminded + REMINDER_S:
+            self._reminded = now
+            actions.append(
+                Say(f"waiting for the coordinator at {self.coordinator} ({silent:.0f} of {self.wait_s:.0f} s)")
+            )
+        if self._share_due is not None and now >= self._share_due:
+            self._places.append(_Place(None, next_try=now))
+            self._share_due = None
+        return actions + [self._ask(place, now) for place in self._places if self._due(place, now)]
+
+    def _due(self, place: _Place, now: float) -> bool:
+        return place.held is None and now >= place.next_try
+
+    def _ask(self, place: _Place, now: float) -> Ask:
+        place.next_try = now + place.retry
+        place.retry = min(2 * place.retry, LONGEST_RETRY_S)
+        pid = None if self.role == "evaluator" else place.wanted
+        return Ask(Claim(role=self.role, instance=self.instance, pid=pid, critic_endpoint=self.critic_endpoint))
+
+    def hear(self, now: float, message: Message) -> list[Action]:
+        """A message from the coordinator arrived."""
+        self._heard = now
+        if isinstance(message, Granted):
+            return self._granted(message, now)
+        if isinstance(message, Refused):
+            return self._refused(message, now)
+        if isinstance(message, Goodbye):
+            return [Exit(0, f"the run is over: {message.reason}")]
+        return []
+
+    def _granted(self, granted: Granted, now: float) -> list[Action]:
+        place = self._place_for(granted.pid)
+        if place is None:
+            return []
+        place.held = granted.pid
+        place.retry = FIRST_RETRY_S
+        self._standing_by = False
+        if place.wanted is None and self.role == "learner":
+            self._share_due = now + NEXT_SHARE_S
+        return [Begin(granted), Say(f"holds {granted.pid} (epoch {granted.epoch})")]
+
+    def _place_for(self, pid: str) -> _Place | None:
+        matching = [place for place in self._places if place.held == pid or place.wanted == pid]
+        open_places = [place for place in self._places if place.held is None and place.wanted is None]
+        return next(iter(matching + open_places), None)
+
+    def _refused(self, refused: Refused, now: float) -> list[Action]:
+        if refused.reason == "stale epoch":
+            return self._stale(refused, now)
+        if refused.final:
+            return [Exit(2, refused.text)]
+        for place in self._places:
+            if place.held is None and place.wanted is None:
+                place.next_try = now + STANDBY_RETRY_S
+        if self._standing_by or self.held:
+            return []
+        self._standing_by = True
+        return [Say(refused.text)]
+
+    def _stale(self, refused: Refused, now: float) -> list[Action]:
+        for place in self._places:
+            if refused.pid is None or place.held == refused.pid:
+                ended, place.held = place.held, None
+                place.next_try = now
+                if refused.final and ended is not None:
+                    return self._give_up(place, ended, refused)
+        return [Say(refused.text)]
+
+    def _give_up(self, place: _Place, pid: str, refused: Refused) -> list[Action]:
+        ended: list[Action] = [End(pid, refused.text)]
+        if place.wanted is None:
+            return ended
+        self._places.remove(place)
+        return ended if self._places else [*ended, Exit(2, refused.text)]
