@@ -28,8 +28,10 @@ class CoordinatorCommand(RunOptions):
     """Allow addresses that other machines can reach."""
     no_dashboard: bool = False
     """Show nothing on this terminal but the outcome."""
-    lifeline: bool = False
-    """End when the process that started this one ends (used by `t4nmtd train`)."""
+    lease: float = 10.0
+    """Seconds of silence after which a worker counts as lost and its sub-task is free again."""
+    lifeline: int | None = None
+    """End when the process of this number, which started this one, has ended (used by `t4nmtd train`)."""
 
 
 def main() -> None:
@@ -42,8 +44,8 @@ def run(command: CoordinatorCommand) -> int:
     from t4nmtd_dist.errors import T4NMTDError
     from t4nmtd_dist.launch.lifeline import end_with_parent
 
-    if command.lifeline:
-        end_with_parent()
+    if command.lifeline is not None:
+        end_with_parent(command.lifeline)
     try:
         return _serve(command)
     except T4NMTDError as error:
@@ -56,12 +58,15 @@ def _serve(command: CoordinatorCommand) -> int:
     from coordinator.state import CoordinatorState, RunSettings
     from coordinator.viewer import BackgroundViewer
     from t4nmtd_dist.compiled import compile_task
+    from t4nmtd_dist.errors import ConfigError
     from t4nmtd_dist.wire.sockets import new_context
 
+    if not command.lease > 0:
+        raise ConfigError(f"--lease {command.lease}: expected seconds above 0")
     config = command.load()
     task = compile_task(config, translator=command.translator, seed=command.seed)
     directory = command.directory(config.name)
-    settings = RunSettings(command.seed, config.max_interactions, os.urandom(8).hex(), str(directory))
+    settings = RunSettings(command.seed, config.max_interactions, os.urandom(8).hex(), str(directory), command.lease)
     state = CoordinatorState(task, settings)
     endpoints = (command.bind, command.publish)
     service = CoordinatorService(state, directory, endpoints, restart=command.restart, insecure=command.insecure)

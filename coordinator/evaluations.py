@@ -93,7 +93,7 @@ class EvaluationSchedule:
         """Evaluations at 100 % since the last that was not."""
         count = 0
         for row in reversed(self.history):
-            if row.success_rate < 1.0:
+            if not row.success_rate >= 1.0:  # a rate that is not a number is none
                 break
             count += 1
         return count

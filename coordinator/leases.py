@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 
 @dataclass(frozen=True)
 class Lease:
-    """A worker's right to a place until ``expires`` (seconds of the coordinator's clock)."""
+    """A worker's right to a place until ``expires`` (seconds of the coordinator's clock), or until given back."""
 
     place: str
     epoch: int
@@ -17,6 +17,7 @@ class Lease:
     heard: float
     expires: float
     endpoint: str
+    released: bool = False
 
 
 class LeaseTable:
@@ -62,7 +63,7 @@ class LeaseTable:
         lease = self._leases.get(place)
         if lease is None or lease.epoch != epoch or lease.holder != holder:
             return False
-        self._leases[place] = replace(lease, heard=now, expires=now + self.duration)
+        self._leases[place] = replace(lease, heard=now, expires=now + self.duration, released=False)
         return True
 
     def release(self, place: str, epoch: int, holder: bytes) -> bool:
@@ -70,7 +71,7 @@ class LeaseTable:
         lease = self._leases.get(place)
         if lease is None or lease.epoch != epoch or lease.holder != holder:
             return False
-        self._leases[place] = replace(lease, expires=lease.heard)
+        self._leases[place] = replace(lease, expires=lease.heard, released=True)
         return True
 
     def holders(self, now: float) -> list[Lease]:

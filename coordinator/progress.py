@@ -20,17 +20,25 @@ class ReceivedProgress:
     starts: list[tuple[int, NDArray[Any]]]
 
 
-def read_progress(arrays: Mapping[str, NDArray[Any]], dfa_states: int) -> ReceivedProgress:
+def read_progress(
+    arrays: Mapping[str, NDArray[Any]], dfa_states: int, snapshot: NDArray[Any] | None = None
+) -> ReceivedProgress:
     """Read ``progress.*`` and ``starts.*`` of a Sync message.
 
+    Args:
+        arrays: of the message.
+        dfa_states: |Q|.
+        snapshot: a start state received before, if any: all of a run are alike in type and size.
+
     Raises:
-        ProtocolError: if shapes do not fit together, a DFA state does not exist, or a number is not finite.
+        ProtocolError: if shapes do not fit together, a DFA state does not exist, or a number is out of range.
     """
     changes = arrays.get("progress.q", np.empty((0, 3), np.int32))
     rewards = arrays.get("progress.reward", np.empty(0))
     _check(changes.ndim == 2 and changes.shape[1] == 3, f"progress.q has shape {changes.shape}, expected [n, 3]")
     _check(rewards.shape == changes.shape[:1], "progress.reward and progress.q differ in length")
     _check(bool(np.isfinite(rewards).all()), "progress.reward holds a number that is not finite")
+    _check(bool((changes[:, 2] >= 0).all()), "progress.q holds a negative number of steps")
     _check_states(changes[:, 0], 0, dfa_states)
     _check_states(changes[:, 1], -1, dfa_states)
     starts_q = arrays.get("starts.q", np.empty(0, np.int32))
@@ -38,6 +46,9 @@ def read_progress(arrays: Mapping[str, NDArray[Any]], dfa_states: int) -> Receiv
     _check(starts_q.ndim == 1 and states.ndim == 2, "starts.q must be [m] and starts.state [m, s]")
     _check(len(starts_q) == len(states), "starts.q and starts.state differ in length")
     _check_states(starts_q, 0, dfa_states)
+    if len(states) and snapshot is not None:
+        alike = states.dtype == snapshot.dtype and states.shape[1:] == snapshot.shape
+        _check(alike, f"starts.state holds {states.dtype} {states.shape[1:]}, before {snapshot.dtype} {snapshot.shape}")
     rows = zip(changes.tolist(), rewards.tolist(), strict=True)
     return ReceivedProgress(
         [(q, q_next, steps, reward) for (q, q_next, steps), reward in rows],

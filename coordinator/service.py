@@ -21,7 +21,7 @@ from t4nmtd_dist.wire.sockets import bind, bound_endpoint, new_context, receive_
 
 TICK_S = 0.1
 PUBLISH_S = 0.2
-FAREWELL_S = 2.0
+FAREWELL_S = 1.5
 MESSAGES_PER_TURN = 200
 
 

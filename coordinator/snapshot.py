@@ -65,7 +65,7 @@ def _learner_row(state: CoordinatorState, pid: str, record: LearnerRecord) -> Le
 
 def _phase(state: CoordinatorState, pid: str, reported: LearnerPhase) -> LearnerPhase:
     lease = state.leases.get(pid)
-    if lease is None:
+    if lease is None or lease.released:
         return "free"
     return reported if state.leases.live(pid, state.now) or state.outcome is not None else "lost"
 

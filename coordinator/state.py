@@ -4,8 +4,10 @@ from __future__ import annotations
 
 from collections import deque
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from coordinator.evaluations import EvaluationSchedule
 from coordinator.events import (
@@ -88,6 +90,7 @@ class CoordinatorState:
         self.now = self.began = 0.0
         self._clock_started = False
         self._lost: set[str] = set()
+        self._snapshot: NDArray[Any] | None = None
 
     @property
     def elapsed_s(self) -> float:
@@ -196,7 +199,7 @@ class CoordinatorState:
     def _notice_lost(self) -> list[Action]:
         told: list[Action] = []
         for lease in self.leases.all():
-            if lease.expires <= self.now and lease.place not in self._lost:
+            if lease.expires <= self.now and not lease.released and lease.place not in self._lost:
                 self._lost.add(lease.place)
                 silent = self.now - lease.heard
                 told.append(self._tell(f"{lease.place} lost: {lease.instance} silent for {silent:.0f} s"))
@@ -207,34 +210,34 @@ class CoordinatorState:
     def _sync(self, event: Received, sync: Sync) -> list[Action]:
         peer, answers = event.peer, event.envelope.id
         if not self.leases.renew(sync.pid, sync.epoch, peer, self.now):
-            return [self._refuse_stale(peer, sync, answers)]
+            return self._refuse_stale(peer, sync, answers)
         arrays = event.envelope.arrays
-        progress = read_progress(arrays, self.task.dfa.states)
+        progress = read_progress(arrays, self.task.dfa.states, self._snapshot)
         record = self.records[sync.pid]
+        back = [self._tell(f"{sync.pid} heard again")] if sync.pid in self._lost else []
         self._lost.discard(sync.pid)
         if sync.sequence > record.sequence:
             record.sequence = sync.sequence
             self._apply(sync.pid, progress)
+            record.update(sync.stats, self.now)
         weights = without_prefix("weights.", arrays)
         if weights and sync.version > record.version:
             record.version, record.weights = sync.version, weights
-        record.update(sync.stats, self.now)
         reply = self._reply(peer, sync, record, answers)
         if self.interactions >= self.settings.max_interactions:
-            return [reply, *self._finish("budget spent", f"{self.interactions} interactions")]
-        return [reply]
+            return [*back, reply, *self._finish("budget spent", f"{self.interactions} interactions")]
+        return [*back, reply]
 
-    def _refuse_stale(self, peer: bytes, sync: Sync, answers: int) -> Send:
+    def _refuse_stale(self, peer: bytes, sync: Sync, answers: int) -> list[Action]:
         lease = self.leases.get(sync.pid) if sync.pid in self.leases.places else None
         if lease is None:
             text = f"no lease on {sync.pid!r} is known here (the coordinator was started again); claim it again"
+        elif lease.holder == peer and sync.epoch < lease.epoch:
+            return []  # sent before the grant of the newer epoch, which is on its way, arrived there
         else:
             text = f"epoch {sync.epoch} of {sync.pid} is over: {lease.instance} holds epoch {lease.epoch}"
-        return Send(
-            peer,
-            Refused(reason="stale epoch", text=text, final=lease is not None, pid=sync.pid),
-            answers=answers,
-        )
+        refused = Refused(reason="stale epoch", text=text, final=lease is not None, pid=sync.pid)
+        return [Send(peer, refused, answers=answers)]
 
     def _apply(self, pid: str, progress: ReceivedProgress) -> None:
         for q, q_next, steps, reward in progress.changes:
@@ -243,6 +246,7 @@ class CoordinatorState:
             else:
                 self.high_level.update(q, pid, reward, q_next, steps)
         for q, state in progress.starts:
+            self._snapshot = state
             if q in self.task.terminal:
                 continue
             chosen = self.high_level.choose(q, self.rng)

@@ -13,9 +13,13 @@ from __future__ import annotations
 
 from gymnasium.envs.registration import register, registry
 
-# id: (single world, batched world), as strings, so that physics engines are imported when a world is made.
+# id: (single world, batched world or None), as strings, so that physics engines are imported when a world is
+# made.
 _ENTRY_POINTS = {
     "t4nmtd/FrozenLake-v0": ("envs.frozenlake:FrozenLakeEnv", "envs.frozenlake_batch:FrozenLakeVectorEnv"),
+    "t4nmtd/Waterworld-v0": ("envs.waterworld:WaterworldEnv", "envs.waterworld_batch:WaterworldVectorEnv"),
+    "t4nmtd/Racecar-v0": ("envs.racecar:RacecarEnv", None),
+    "t4nmtd/HalfCheetah-v0": ("envs.halfcheetah:HalfCheetahEnv", None),
 }
 
 

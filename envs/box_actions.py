@@ -37,7 +37,7 @@ def checked_box_actions(
         )
     numbers = array.astype(np.float64)
     # The largest magnitude is NaN if one of the numbers is, and then not within the limit.
-    if not np.abs(numbers).max() <= bound * (1 + _ROUNDING):
+    largest = np.abs(numbers).max()
+    if not largest <= bound * (1 + _ROUNDING):
         raise ValueError(f"action {actions!r} is not in {space}: every number must be within +-{bound}")
-    np.minimum(numbers, bound, out=numbers)
-    return np.maximum(numbers, -bound, out=numbers)
+    return numbers if largest <= bound else numbers.clip(-bound, bound)

@@ -8,7 +8,6 @@ from typing import Any
 
 import gymnasium
 import numpy as np
-from gymnasium import spaces
 from numpy.typing import NDArray
 
 from envs.box_actions import checked_box_actions, symmetric_box
@@ -152,7 +151,7 @@ def start_states(palette: Palette, choice: int | str, generators: Sequence[np.ra
         choice: the constructor keyword ``map``.
         generators: N of them, for random maps.
     """
-    maps = [np.vstack([starting_balls(palette, choice, generator), START]) for generator in generators]
+    maps = [np.append(starting_balls(palette, choice, generator), START) for generator in generators]
     return to_states(np.stack(maps))
 
 

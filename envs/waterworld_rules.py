@@ -39,12 +39,12 @@ def snapshot_size(palette: Palette) -> int:
 
 def to_states(rows: NDArray[np.float64]) -> NDArray[np.float64]:
     """States (4, N, balls + 1) from snapshots (N, 4*(balls + 1)); a copy."""
-    return np.ascontiguousarray(rows.reshape(len(rows), -1, 4).transpose(2, 0, 1))
+    return np.ascontiguousarray(rows.reshape(len(rows), rows.shape[1] // 4, 4).transpose(2, 0, 1))
 
 
 def to_snapshots(states: NDArray[np.float64]) -> NDArray[np.float64]:
     """Snapshots (N, 4*(balls + 1)) from states (4, N, balls + 1); a copy."""
-    return np.ascontiguousarray(states.transpose(1, 2, 0)).reshape(states.shape[1], -1)
+    return np.ascontiguousarray(states.transpose(1, 2, 0)).reshape(states.shape[1], 4 * states.shape[2])
 
 
 def reflect(states: NDArray[np.float64]) -> NDArray[np.bool_]:

@@ -57,22 +57,25 @@ class LearnerConfig:
     Attributes:
         algorithm: ``ppo`` (discrete actions).
         gamma: discount per step, also the one inside the shaped reward.
-        shaping: ``paper`` (potential difference when a target is reached), ``potential`` (on every step),
-            ``subtask`` (10 for a target, 100 for acceptance).
+        shaping: ``potential`` (potential difference on every step), ``paper`` (only when a target is reached),
+            ``subtask`` (10 for a target, 100 for acceptance); docs/decisions/006 has the measurements.
         reward_scale: factor on rewards before they reach the critics.
         intervention: ``query`` asks the peer's process, ``local`` a peer in the same process, ``off`` none.
         attempt_steps: steps after which an attempt is cut (a truncation, the critic bootstraps).
         start_capacity: initial-state buffer entries per DFA state.
+        hand_over: which states become start states of the next sub-task: those in which a ``target`` was reached,
+            as in the paper, or all in which the DFA changed, so that a critic knows whatever it is asked about.
         hidden: widths of the hidden layers of actor and critic.
     """
 
     algorithm: Literal["ppo"] = "ppo"
     gamma: float = 0.99
-    shaping: Shaping = "paper"
+    shaping: Shaping = "potential"
     reward_scale: float = 0.01
     intervention: InterventionMode = "query"
     attempt_steps: int = 300
     start_capacity: int = 200
+    hand_over: Literal["targets", "changes"] = "changes"
     hidden: tuple[int, ...] = (64, 64)
 
 
@@ -85,7 +88,8 @@ class PPOConfig:
         rollout: steps of each copy between updates.
         epochs: passes over the roll-out.
         minibatch: rows of one gradient step.
-        entropy_coefficient: weight of the entropy bonus.
+        entropy_coefficient: weight of the entropy bonus of a learner without success.
+        entropy_coefficient_successful: weight once every attempt succeeds; linear in the recent success between.
         gae_lambda: lambda of generalised advantage estimation.
         advantage_floor: advantages are divided by their standard deviation, but by no less than this, so that the
             noise of a roll-out without reward is not blown up into a policy.
@@ -97,7 +101,8 @@ class PPOConfig:
     minibatch: int = 256
     learning_rate: float = 1e-3
     clip: float = 0.2
-    entropy_coefficient: float = 0.01
+    entropy_coefficient: float = 0.15
+    entropy_coefficient_successful: float = 0.005
     value_coefficient: float = 0.5
     gae_lambda: float = 0.95
     max_grad_norm: float = 0.5

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 State = NDArray[Any]
+RESET_SHARE = 0.5
 
 
 @dataclass(frozen=True)
@@ -100,6 +101,6 @@ def sample_starts(
 def _draw(
     buffer: InitialStateBuffer, q: int, reset_q: int | None, present: list[int], rng: np.random.Generator
 ) -> StartState:
-    if q == reset_q and (q not in present or rng.random() * (buffer.count(q) + 1) < 1):
+    if q == reset_q and (q not in present or rng.random() < RESET_SHARE):
         return StartState(q, None)
     return StartState(q, buffer.sample(q, rng))

@@ -20,7 +20,7 @@ from torch import nn
 from t4nmtd_dist.automata.dfa import DFA
 from t4nmtd_dist.config import TaskConfig, task_config
 from t4nmtd_dist.decomposition import Decomposition
-from t4nmtd_dist.errors import PolicyError
+from t4nmtd_dist.errors import ConfigError, PolicyError
 from t4nmtd_dist.high_level import QEntries
 from t4nmtd_dist.learners.networks import load_weights, mlp, product_state
 from t4nmtd_dist.runs.exported import ACTORS_FILE, POLICY_FILE, POLICY_FORMAT
@@ -119,7 +119,8 @@ class GlobalPolicy:
 
 def _actor(hidden: tuple[int, ...], weights: Mapping[str, NDArray[Any]]) -> nn.Sequential:
     own = {name.removeprefix("actor."): array for name, array in weights.items() if name.startswith("actor.")}
-    matrices = [array for name, array in own.items() if name.endswith("weight")]
+    layers = sorted((name for name in own if name.endswith(".weight")), key=lambda name: int(name.split(".")[0]))
+    matrices = [own[name] for name in layers]
     if not matrices:
         raise PolicyError("an actor has no weights; the export is damaged or of another format")
     actor = mlp(matrices[0].shape[1], hidden, matrices[-1].shape[0], last_gain=0.01)
@@ -139,19 +140,27 @@ def load(path: str | Path) -> GlobalPolicy:
         arrays = load_file(folder / ACTORS_FILE)
     except (OSError, ValueError, SafetensorError) as error:
         raise PolicyError(f"cannot read the policy in {folder}: {error}") from None
-    if data.get("format") != POLICY_FORMAT:
-        raise PolicyError(f"{folder}: policy format {data.get('format')!r}; this program reads {POLICY_FORMAT}")
+    found = data.get("format") if isinstance(data, dict) else None
+    if found != POLICY_FORMAT:
+        raise PolicyError(f"{folder}: policy format {found!r}; this program reads {POLICY_FORMAT}")
     actors: dict[str, dict[str, NDArray[Any]]] = {}
     for key, array in arrays.items():
         pid, _, name = key.partition("/")
         actors.setdefault(pid, {})[name] = array
+    try:
+        return _restored(data, actors, folder)
+    except (ConfigError, LookupError, TypeError, ValueError) as error:
+        raise PolicyError(f"the policy in {folder} is damaged ({type(error).__name__}: {error})") from None
+
+
+def _restored(data: Mapping[str, Any], actors: ActorWeights, folder: Path) -> GlobalPolicy:
     return GlobalPolicy(
         task_config(data["task"], source=str(folder)),
         DFA.from_json(data["dfa"]),
         Decomposition.from_json(data["decomposition"]),
         [(q, pid, value) for q, pid, value in data["q_table"]],
         actors,
-        np.array(data["rho"]),
+        np.array(data["rho"], np.float64).reshape(len(data["rho"])),
     )
 
 

@@ -1,3 +1,5 @@
+"""The dashboard: readable pages at every width, plain lines without a terminal, and never in the way."""
+
 import io
 import os
 import pty

@@ -30,14 +30,15 @@ class WorkerCommand:
     """Address on which peers may ask this worker's critics."""
     insecure: bool = False
     """Allow --host to be an address that other machines can reach."""
-    lifeline: bool = False
-    """End when the process that started this one ends (used by `t4nmtd train`)."""
+    lifeline: int | None = None
+    """End when the process of this number, which started this one, has ended (used by `t4nmtd train`)."""
 
 
 def main() -> None:
     """Entry point of ``t4nmtd-worker``."""
-    command = tyro.cli(WorkerCommand, prog="t4nmtd-worker")
-    sys.exit(run(command))
+    code = run(tyro.cli(WorkerCommand, prog="t4nmtd-worker"))
+    sys.stderr.flush()
+    os._exit(code)  # Python would wait for an unfinished import, and then for torch to tidy up: seconds
 
 
 def run(command: WorkerCommand) -> int:
@@ -47,8 +48,8 @@ def run(command: WorkerCommand) -> int:
     from t4nmtd_dist.launch.lifeline import end_with_parent
     from t4nmtd_dist.wire.sockets import check_endpoint
 
-    if command.lifeline:
-        end_with_parent()
+    if command.lifeline is not None:
+        end_with_parent(command.lifeline)
     try:
         check_endpoint(command.connect)
         if command.evaluate and command.pid:
@@ -61,11 +62,8 @@ def run(command: WorkerCommand) -> int:
 
 
 def _work(command: WorkerCommand) -> int:
-    import torch
-
     from workers.worker import Worker, WorkerOptions, default_instance
 
-    torch.set_num_threads(1)
     options = WorkerOptions(
         coordinator=command.connect,
         role="evaluator" if command.evaluate else "learner",

@@ -3,15 +3,18 @@
 from __future__ import annotations
 
 import threading
+from typing import TYPE_CHECKING
 
 import numpy as np
 import zmq
 
 from t4nmtd_dist.errors import ProtocolError
-from t4nmtd_dist.learners.ppo import PublishedCritic
 from t4nmtd_dist.wire.codec import Envelope
 from t4nmtd_dist.wire.messages import Failure, Message, ValueReply, ValueRequest
 from t4nmtd_dist.wire.sockets import Context, bind, bound_endpoint, receive_from, send
+
+if TYPE_CHECKING:
+    from t4nmtd_dist.learners.ppo import PublishedCritic
 
 POLL_MS = 200
 

@@ -11,6 +11,7 @@ FIRST_RETRY_S = 0.25
 LONGEST_RETRY_S = 4.0
 STANDBY_RETRY_S = 1.0
 NEXT_SHARE_S = 5.0
+FIRST_REMINDER_S = 1.0
 REMINDER_S = 5.0
 
 
@@ -37,6 +38,13 @@ class End:
 
 
 @dataclass(frozen=True)
+class GiveBack:
+    """Release a lease that is not wanted: the claim was repeated because its answer came late."""
+
+    granted: Granted
+
+
+@dataclass(frozen=True)
 class Say:
     """Tell the person at the terminal."""
 
@@ -51,7 +59,7 @@ class Exit:
     text: str
 
 
-Action = Ask | Begin | End | Say | Exit
+Action = Ask | Begin | End | GiveBack | Say | Exit
 
 
 @dataclass
@@ -90,7 +98,8 @@ class WorkerState:
     def __post_init__(self) -> None:
         wanted: list[str | None] = list(self.pids) or [None]
         self._places = [_Place(pid, next_try=self.now) for pid in wanted]
-        self._heard = self._reminded = self.now
+        self._heard = self.now
+        self._remind_at = self.now + FIRST_REMINDER_S
         self._share_due: float | None = None
         self._standing_by = False
 
@@ -109,8 +118,8 @@ class WorkerState:
             )
             return [Exit(2, text)]
         actions: list[Action] = []
-        if silent > REMINDER_S and now > self._reminded + REMINDER_S:
-            self._reminded = now
+        if now >= self._remind_at:
+            self._remind_at = now + REMINDER_S
             actions.append(
                 Say(f"waiting for the coordinator at {self.coordinator} ({silent:.0f} of {self.wait_s:.0f} s)")
             )
@@ -128,9 +137,15 @@ class WorkerState:
         pid = None if self.role == "evaluator" else place.wanted
         return Ask(Claim(role=self.role, instance=self.instance, pid=pid, critic_endpoint=self.critic_endpoint))
 
+    def was_deaf(self, since: float, now: float) -> None:
+        """This process itself was busy or stopped in between: that was no silence of the coordinator."""
+        self._heard = min(now, self._heard + now - since)
+        self._remind_at += now - since
+
     def hear(self, now: float, message: Message) -> list[Action]:
         """A message from the coordinator arrived."""
         self._heard = now
+        self._remind_at = now + REMINDER_S
         if isinstance(message, Granted):
             return self._granted(message, now)
         if isinstance(message, Refused):
@@ -142,7 +157,7 @@ class WorkerState:
     def _granted(self, granted: Granted, now: float) -> list[Action]:
         place = self._place_for(granted.pid)
         if place is None:
-            return []
+            return [GiveBack(granted)]
         place.held = granted.pid
         place.retry = FIRST_RETRY_S
         self._standing_by = False

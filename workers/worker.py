@@ -1,4 +1,7 @@
-"""The worker process: one loop that learns (or evaluates), tells the coordinator, and hears its answers."""
+"""The worker process: one loop that learns (or evaluates), tells the coordinator, and hears its answers.
+
+A place is claimed before torch and the worlds are imported, which takes seconds: a refusal comes at once.
+"""
 
 from __future__ import annotations
 
@@ -9,7 +12,7 @@ import sys
 import time
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from numpy.typing import NDArray
 
@@ -30,14 +33,20 @@ from t4nmtd_dist.wire.messages import (
 )
 from t4nmtd_dist.wire.sockets import connect, new_context, receive, send
 from workers.critic_service import CriticService
-from workers.evaluation_session import EvaluationSession
-from workers.learner_session import LearnerSession
-from workers.state import Action, Ask, Begin, End, Exit, Say, WorkerState
+from workers.loading import Loader, WaitingLease
+from workers.state import Action, Ask, Begin, End, Exit, GiveBack, Say, WorkerState
+
+if TYPE_CHECKING:
+    from workers.evaluation_session import EvaluationSession
+    from workers.learner_session import LearnerSession
 
 SYNC_INTERVAL_S = 0.2
+HEARTBEAT_S = 0.5
 IDLE_POLL_S = 0.05
 EVALUATION_POLL_S = 0.2
 EVALUATION_PATIENCE_S = 3.0
+LONG_TURN_S = 2.0
+STOPPED = 130
 
 
 @dataclass(frozen=True)
@@ -82,12 +91,16 @@ class Worker:
         self._sessions: dict[str, LearnerSession] = {}
         self._peers: dict[str, QueryPeers | LocalPeers | NoPeers] = {}
         self._evaluation: EvaluationSession | None = None
+        self._waiting: dict[str, WaitingLease] = {}
+        self._loader = Loader()
+        self._heartbeat_due = 0.0
         self._poll_due = 0.0
+        self._turn_began = time.monotonic()
         self._exit: Exit | None = None
         self._interrupted = False
 
     def run(self) -> int:
-        """Work until the run is over or the process is told to stop; the exit code."""
+        """Work until the run is over (exit code 0), nothing can be done (2), or a signal says stop (130)."""
         for number in (signal.SIGINT, signal.SIGTERM):
             signal.signal(number, self._interrupt)
         try:
@@ -97,16 +110,21 @@ class Worker:
             self._close()
         if self._exit is not None and self._exit.text:
             say(self._exit.text)
-        return self._exit.code if self._exit is not None else 0
+        return self._exit.code if self._exit is not None else STOPPED
 
     def _interrupt(self, *_: object) -> None:
         self._interrupted = True
 
     def _turn(self) -> None:
+        self._open_sessions()
         busy = self._learn()
         self._hear(0.0 if busy else IDLE_POLL_S)
         now = time.monotonic()
+        if self._waiting or now - self._turn_began > LONG_TURN_S:
+            self._state.was_deaf(self._turn_began, now)
+        self._turn_began = now
         self._act(self._state.tick(now), {})
+        self._send_heartbeats(now)
         for session in self._sessions.values():
             sync = session.next_sync(now, SYNC_INTERVAL_S)
             if sync is not None:
@@ -171,23 +189,41 @@ class Worker:
             elif isinstance(action, End):
                 self._end(action.pid)
                 say(action.reason)
+            elif isinstance(action, GiveBack):
+                self._send(Release(pid=action.granted.pid, epoch=action.granted.epoch))
             elif isinstance(action, Say):
                 say(action.text)
             else:
                 self._exit = action
 
     def _begin(self, granted: Granted, arrays: Mapping[str, NDArray[Any]]) -> None:
-        if granted.role == "evaluator":
-            self._evaluation = EvaluationSession(granted)
-            return
         held = self._sessions.get(granted.pid)
         if held is not None:
             held.renew(granted)
+        else:
+            self._waiting[granted.pid] = WaitingLease(granted, arrays)
+
+    def _open_sessions(self) -> None:
+        """Start work under the leases that wait for it, as soon as everything is loaded."""
+        if not self._waiting or not self._loader.ready():
             return
-        session = LearnerSession(granted, arrays)
-        self._sessions[granted.pid] = session
-        self._peers[granted.pid] = self._peers_of(session)
-        self._critics.serve(granted.pid, session.learner.published)
+        for pid, lease in self._waiting.items():
+            if lease.granted.role == "evaluator":
+                self._evaluation = lease.evaluate()
+                continue
+            session = self._sessions[pid] = lease.learn()
+            self._peers[pid] = self._peers_of(session)
+            self._critics.serve(pid, session.learner.published)
+        self._waiting.clear()
+
+    def _send_heartbeats(self, now: float) -> None:
+        """Keep the leases alive under which no work has begun yet."""
+        if now < self._heartbeat_due:
+            return
+        self._heartbeat_due = now + HEARTBEAT_S
+        for lease in self._waiting.values():
+            if lease.granted.role == "learner":
+                self._send(lease.heartbeat())
 
     def _peers_of(self, session: LearnerSession) -> QueryPeers | LocalPeers | NoPeers:
         if session.intervention == "off":
@@ -195,14 +231,17 @@ class Worker:
         return QueryPeers(self._context, f"{self._options.instance}/{session.pid}")
 
     def _end(self, pid: str) -> None:
+        self._waiting.pop(pid, None)
         self._sessions.pop(pid, None)
         peers: PeerCritics | None = self._peers.pop(pid, None)
         if isinstance(peers, QueryPeers):
             peers.close()
 
     def _close(self) -> None:
-        for pid, session in list(self._sessions.items()):
-            self._send(Release(pid=pid, epoch=session.epoch))
+        epochs = {pid: session.epoch for pid, session in self._sessions.items()}
+        epochs |= {pid: lease.granted.epoch for pid, lease in self._waiting.items()}
+        for pid, epoch in epochs.items():
+            self._send(Release(pid=pid, epoch=epoch))
             self._end(pid)
         self._critics.close()
         self._control.close(200)

@@ -9,6 +9,7 @@ from pathlib import Path
 
 from t4nmtd_dist.cli.options import RunOptions
 from t4nmtd_dist.compiled import CompiledTask, compile_task
+from t4nmtd_dist.errors import RunError
 from t4nmtd_dist.launch.local import LocalProcesses
 from t4nmtd_dist.runs.directory import RunDirectory, read_summary
 
@@ -29,7 +30,11 @@ class _Interrupted:
 
 
 def train(options: RunOptions, *, dashboard: bool) -> int:
-    """Train with local processes; the exit code: 0 solved, 3 budget spent, 130 interrupted."""
+    """Train with local processes; the exit code: 0 solved, 3 budget spent, 130 interrupted.
+
+    Raises:
+        RunError: if the coordinator or a worker cannot go on.
+    """
     config = options.load()
     task = compile_task(config, translator=options.translator, seed=options.seed)
     directory = RunDirectory(options.directory(config.name), restart=options.restart).path
@@ -48,8 +53,10 @@ def train(options: RunOptions, *, dashboard: bool) -> int:
         processes.end()
     if interrupted.seen:
         code = STOPPED
+    if code not in (SOLVED, BUDGET_SPENT, STOPPED):
+        raise RunError(processes.coordinator_failure())
     _report(directory)
-    return STOPPED if code is None else code
+    return code
 
 
 def _coordinator_arguments(options: RunOptions) -> list[str]:

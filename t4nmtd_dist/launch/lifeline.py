@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import os
 import signal
 import sys
@@ -11,14 +12,18 @@ import time
 CHECK_S = 0.5
 
 
-def end_with_parent() -> None:
-    """Send this process SIGTERM as soon as its parent is gone (checked twice a second)."""
-    parent = os.getppid()
+def end_with_parent(parent: int) -> None:
+    """Send this process SIGTERM as soon as its parent is gone (checked twice a second).
+
+    Args:
+        parent: the parent's process number, from the parent itself: it may be gone before this process asks.
+    """
     threading.Thread(target=_watch, args=(parent,), name="lifeline", daemon=True).start()
 
 
 def _watch(parent: int) -> None:
     while os.getppid() == parent:
         time.sleep(CHECK_S)
-    print("the process that started this one is gone; ending", file=sys.stderr, flush=True)
+    with contextlib.suppress(OSError):  # who would have read it may be gone as well
+        print("the process that started this one is gone; ending", file=sys.stderr, flush=True)
     os.kill(os.getpid(), signal.SIGTERM)

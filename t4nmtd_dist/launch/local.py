@@ -10,7 +10,6 @@ import time
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import IO
 
 from t4nmtd_dist.errors import RunError
 from t4nmtd_dist.runs.directory import ENDPOINTS_FILE
@@ -48,6 +47,10 @@ class LocalProcesses:
     _children: dict[str, _Child] = field(default_factory=dict)
     _coordinator: subprocess.Popen[bytes] | None = None
 
+    @property
+    def _coordinator_log(self) -> Path:
+        return self.run_dir / "logs" / "coordinator.log"
+
     def start_coordinator(self, arguments: Sequence[str]) -> tuple[str, str]:
         """Start the coordinator on free ports; its control and state endpoints.
 
@@ -57,13 +60,12 @@ class LocalProcesses:
         endpoints = self.run_dir / ENDPOINTS_FILE
         endpoints.unlink(missing_ok=True)
         command = [*_role("coordinator"), *arguments, "--bind", "tcp://127.0.0.1:*", "--publish", "tcp://127.0.0.1:*"]
-        command += ["--run-dir", str(self.run_dir), "--no-dashboard", "--lifeline"]
-        process = subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, start_new_session=True)
-        self._coordinator = process
+        command += ["--run-dir", str(self.run_dir), "--no-dashboard", "--lifeline", str(os.getpid())]
+        process = self._coordinator = _spawn(command, self._coordinator_log)
         deadline = time.monotonic() + START_DEADLINE_S
         while not endpoints.exists():
             if process.poll() is not None:
-                raise RunError(_last_words(process))
+                raise RunError(self.coordinator_failure())
             if time.monotonic() > deadline:
                 raise RunError(f"the coordinator did not listen within {START_DEADLINE_S:.0f} s")
             time.sleep(0.02)
@@ -72,7 +74,7 @@ class LocalProcesses:
 
     def start_worker(self, name: str, arguments: Sequence[str]) -> None:
         """Start a worker whose log and instance are called ``name``."""
-        command = [*_role("workers"), *arguments, "--instance", name, "--lifeline"]
+        command = [*_role("workers"), *arguments, "--instance", name, "--lifeline", str(os.getpid())]
         log = self.run_dir / "logs" / f"{name}.log"
         self._children[name] = _Child(name, command, log, _spawn(command, log))
 
@@ -114,6 +116,11 @@ class LocalProcesses:
         except subprocess.TimeoutExpired:
             return None
 
+    def coordinator_failure(self) -> str:
+        """What to tell of a coordinator that ended without an outcome."""
+        code = self._coordinator.returncode if self._coordinator is not None else None
+        return _last_words(self._coordinator_log, code)
+
     def interrupt(self) -> None:
         """Ask the coordinator to end the run."""
         if self._coordinator is not None and self._coordinator.poll() is None:
@@ -145,10 +152,12 @@ def _spawn(command: list[str], log: Path) -> subprocess.Popen[bytes]:
         return subprocess.Popen(command, stdout=file, stderr=file, env=environment, start_new_session=True)
 
 
-def _last_words(process: subprocess.Popen[bytes]) -> str:
-    stream: IO[bytes] | None = process.stderr
-    said = stream.read().decode(errors="replace").strip() if stream else ""
-    return said.removeprefix("t4nmtd-coordinator: ") or f"the coordinator ended with code {process.returncode}"
+def _last_words(log: Path, code: int | None) -> str:
+    """The coordinator's own message if it gave one, else how it ended."""
+    said = _tail(log)
+    if said.startswith("t4nmtd-coordinator: "):
+        return said.removeprefix("t4nmtd-coordinator: ")
+    return f"the coordinator ended with code {code} before the run was over; see {log}\n{said}".rstrip()
 
 
 def _tail(log: Path) -> str:

@@ -65,6 +65,7 @@ class Attempts:
         buffer: where attempts begin.
         reset_q: the initial DFA state if the sub-task is available there, else None.
         attempt_steps: steps after which an attempt is cut.
+        hand_over_all: hand states over after every change of the DFA state, not only after targets.
         rng: source of randomness.
     """
 
@@ -78,6 +79,7 @@ class Attempts:
         *,
         reset_q: int | None,
         attempt_steps: int,
+        hand_over_all: bool,
         rng: np.random.Generator,
     ) -> None:
         self._world, self._reader, self._tables, self._delta = world, reader, tables, delta
@@ -86,6 +88,7 @@ class Attempts:
         self.q: States = np.zeros(world.count, dtype=np.int32)
         self._steps = np.zeros(world.count, dtype=np.int32)
         self._steps_in_q = np.zeros(world.count, dtype=np.int32)
+        self._hand_over_all = hand_over_all
         self._begun = False
         self.progress = Progress()
         self.interactions = 0
@@ -153,7 +156,7 @@ class Attempts:
         result = AttemptStep(reward, world_step.observations.copy(), q_next, changed, terminal, ended)
         self._note(result, reached)
         self.observations[:] = world_step.observations
-        self.q = q_next
+        self.q = q_next.copy()  # restarts write into it; the experience keeps its own
         self._steps_in_q[changed] = 0
         if ended.any():
             self._start(np.flatnonzero(ended))
@@ -171,7 +174,7 @@ class Attempts:
             self._recent.append((bool(reached[row]), int(self._steps[row])))
         self.attempts += int(step.ended.sum())
         self.successes += int(reached.sum())
-        handed = np.flatnonzero(reached & ~step.terminal)
+        handed = np.flatnonzero((step.changed if self._hand_over_all else reached) & ~step.terminal)
         if len(handed):
             states = self._world.snapshot(handed)
             self.progress.starts += [(int(step.q_next[r]), s) for r, s in zip(handed, states, strict=True)]

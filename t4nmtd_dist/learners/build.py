@@ -51,6 +51,7 @@ def build_learner(
         buffer,
         reset_q=task.dfa.initial if tables.available[task.dfa.initial] else None,
         attempt_steps=config.learner.attempt_steps,
+        hand_over_all=config.learner.hand_over == "changes",
         rng=np.random.default_rng([seed, 0]),
     )
     return PPOLearner(

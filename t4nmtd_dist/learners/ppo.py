@@ -173,6 +173,12 @@ class PPOLearner:
         self.version = 0
         self._last_losses: tuple[Tensor, Tensor] | None = None
 
+    def _entropy_coefficient(self) -> float:
+        """Exploration gives way to exploitation as attempts succeed: linear between the two settings."""
+        success = self.attempts.recent_success or 0.0
+        low, high = self._ppo.entropy_coefficient_successful, self._ppo.entropy_coefficient
+        return high + (low - high) * success
+
     def losses(self) -> tuple[float | None, float | None]:
         """Entropy (nats) and value loss of the last gradient step; None before the first."""
         if self._last_losses is None:
@@ -294,7 +300,7 @@ class PPOLearner:
         policy_loss = -torch.minimum(ratio * advantages, clipped * advantages).mean()
         entropy = -(all_log_probs.exp() * all_log_probs).sum(-1).mean()
         value_loss = (self.network.value(states) - returns).square().mean()
-        loss = policy_loss + ppo.value_coefficient * value_loss - ppo.entropy_coefficient * entropy
+        loss = policy_loss + ppo.value_coefficient * value_loss - self._entropy_coefficient() * entropy
         self._optimiser.zero_grad(set_to_none=True)
         loss.backward()  # type: ignore[no-untyped-call]
         nn.utils.clip_grad_norm_(self.network.parameters(), ppo.max_grad_norm)

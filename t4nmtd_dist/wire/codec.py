@@ -57,7 +57,7 @@ def encode(envelope: Envelope) -> list[bytes]:
     """The frames of a message: header, then arrays (C order, little-endian)."""
     body = msgspec.to_builtins(envelope.message)
     kind = body.pop("type")
-    arrays = {name: np.ascontiguousarray(array) for name, array in envelope.arrays.items()}
+    arrays = {name: np.asarray(array, order="C") for name, array in envelope.arrays.items()}
     listed = [(name, _dtype_name(name, array), list(array.shape)) for name, array in arrays.items()]
     header = {
         "v": PROTOCOL_VERSION,
@@ -115,6 +115,8 @@ def _header(frame: bytes) -> Header:
 def _arrays(header: Header, frames: Sequence[bytes]) -> dict[str, Array]:
     if len(header.arrays) != len(frames) or len(frames) > MAX_ARRAYS:
         raise ProtocolError(f"{header.kind!r} announces {len(header.arrays)} arrays and carries {len(frames)}")
+    if len({name for name, _, _ in header.arrays}) != len(frames):
+        raise ProtocolError(f"{header.kind!r} names an array twice")
     return {
         name: _array(name, dtype, shape, frame)
         for (name, dtype, shape), frame in zip(header.arrays, frames, strict=True)
@@ -124,7 +126,8 @@ def _arrays(header: Header, frames: Sequence[bytes]) -> dict[str, Array]:
 def _array(name: str, dtype: str, shape: list[int], frame: bytes) -> Array:
     if dtype not in DTYPES:
         raise ProtocolError(f"array {name!r}: dtype {dtype!r} is not allowed")
-    if len(shape) > MAX_DIMENSIONS or any(n < 0 for n in shape):
+    sides_fit = math.prod(max(n, 1) for n in shape) <= MAX_ARRAY_BYTES  # numpy counts sides beside an empty one too
+    if len(shape) > MAX_DIMENSIONS or min(shape, default=0) < 0 or not sides_fit:
         raise ProtocolError(f"array {name!r}: shape {shape} is not allowed")
     expected = math.prod(shape) * np.dtype(dtype).itemsize
     if expected > MAX_ARRAY_BYTES or expected != len(frame):

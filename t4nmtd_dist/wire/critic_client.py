@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import time
 from collections.abc import Mapping
+from contextlib import suppress
 from dataclasses import dataclass, field
 
 import numpy as np
 import zmq
 from numpy.typing import NDArray
 
-from t4nmtd_dist.errors import ProtocolError
+from t4nmtd_dist.errors import ConfigError, ProtocolError
 from t4nmtd_dist.learners.peers import InterventionCounts, PeerValues
 from t4nmtd_dist.wire.codec import Envelope, decode
 from t4nmtd_dist.wire.messages import Peer, ValueReply, ValueRequest
@@ -65,8 +66,9 @@ class QueryPeers:
                 line.peer = peer
                 continue
             if line is not None:
-                line.socket.close(0)
-            self._lines[pid] = _Line(peer, connect(self._context, peer.endpoint))
+                self._lines.pop(pid).socket.close(0)
+            with suppress(ConfigError):  # a peer without a usable address counts as away
+                self._lines[pid] = _Line(peer, connect(self._context, peer.endpoint))
 
     def close(self) -> None:
         """Close all connections."""

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import ipaddress
-from urllib.parse import urlsplit
 
 import zmq
 
@@ -47,7 +46,8 @@ def bind(context: Context, kind: int, endpoint: str, *, insecure: bool = False) 
     check_endpoint(endpoint)
     if not insecure and not _on_loopback(endpoint):
         raise ConfigError(
-            f"{endpoint} can be reached from other machines; bind to 127.0.0.1, or pass --insecure if the network is trusted"
+            f"{endpoint} can be reached from other machines; "
+            "bind to 127.0.0.1, or pass --insecure if the network is trusted"
         )
     socket = _prepare(context, kind)
     if kind == zmq.XPUB:
@@ -57,7 +57,7 @@ def bind(context: Context, kind: int, endpoint: str, *, insecure: bool = False) 
     except zmq.ZMQError as error:
         socket.close(0)
         if error.errno == zmq.EADDRINUSE:
-            raise ConfigError(f"{endpoint} is in use; stop what listens there, or choose another with --bind") from None
+            raise ConfigError(f"{endpoint} is in use; stop what listens there, or choose another address") from None
         raise ConfigError(f"cannot listen at {endpoint}: {error}") from None
     return socket
 
@@ -73,12 +73,20 @@ def connect(context: Context, endpoint: str) -> Socket:
     """A connected DEALER that queues nothing while its peer is away.
 
     Raises:
-        ConfigError: if the endpoint is malformed.
+        ConfigError: if the endpoint is malformed or cannot be connected to.
     """
     check_endpoint(endpoint)
     socket = _prepare(context, zmq.DEALER)
     socket.setsockopt(zmq.IMMEDIATE, 1)
-    socket.connect(endpoint)
+    return _connected(socket, endpoint)
+
+
+def _connected(socket: Socket, endpoint: str) -> Socket:
+    try:
+        socket.connect(endpoint)
+    except zmq.ZMQError as error:
+        socket.close(0)
+        raise ConfigError(f"cannot connect to {endpoint}: {error}") from None
     return socket
 
 
@@ -86,13 +94,12 @@ def subscribe(context: Context, endpoint: str) -> Socket:
     """A SUB socket for everything that an XPUB publishes.
 
     Raises:
-        ConfigError: if the endpoint is malformed.
+        ConfigError: if the endpoint is malformed or cannot be connected to.
     """
     check_endpoint(endpoint)
     socket = _prepare(context, zmq.SUB)
     socket.setsockopt(zmq.SUBSCRIBE, b"")
-    socket.connect(endpoint)
-    return socket
+    return _connected(socket, endpoint)
 
 
 def check_endpoint(endpoint: str) -> None:
@@ -102,13 +109,15 @@ def check_endpoint(endpoint: str) -> None:
         ConfigError: with the form that was expected.
     """
     scheme, _, rest = endpoint.partition("://")
-    host, colon, port = rest.rpartition(":")
-    if scheme != "tcp" or not colon or not host or not (port == "*" or (port.isdigit() and int(port) < 65536)):
+    host, _, port = rest.rpartition(":")
+    port_fits = port == "*" or (port.isascii() and port.isdigit() and len(port) <= 5 and int(port) < 65536)
+    name = host[1:-1].replace(":", "0") if host[:1] + host[-1:] == "[]" else host
+    if scheme != "tcp" or not port_fits or not name or not name.isprintable() or set(name) & set(":[]/ "):
         raise ConfigError(f"endpoint {endpoint!r}: expected tcp://HOST:PORT, for instance {DEFAULT_CONTROL}")
 
 
 def _on_loopback(endpoint: str) -> bool:
-    host = urlsplit(endpoint.replace(":*", ":0")).hostname or ""
+    host = endpoint.partition("://")[2].rpartition(":")[0].strip("[]")
     if host == "localhost":
         return True
     try:

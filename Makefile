@@ -1,0 +1,48 @@
+# T4NMTD-dist: `make run` and `make test` are all that a newcomer needs; `make help` lists the rest.
+
+VENV  := .venv
+BIN   := $(VENV)/bin
+STAMP := $(VENV)/.set-up
+
+TASK ?= task7
+ARGS ?=
+
+.DEFAULT_GOAL := help
+.PHONY: help setup run test lint type format bench clean
+
+help: ## this list
+	@echo "make VERB, where VERB is one of"
+	@sed -n 's/^\([a-z]*\):.*## \(.*\)/  \1\t\2/p' $(MAKEFILE_LIST) | expand -t 12
+	@echo "TASK=task8 chooses the task of run; ARGS='...' is passed on to run (t4nmtd train) and test (pytest)."
+
+setup: $(STAMP) ## make .venv with everything needed, and install MONA if that can be done
+	@:
+
+$(STAMP): pyproject.toml constraints.txt deploy/setup.sh
+	@sh deploy/setup.sh $(VENV)
+	@touch $@
+
+run: $(STAMP) ## train TASK (task7) with local processes and the dashboard until it is solved
+	@$(BIN)/t4nmtd train --task $(TASK) $(ARGS)
+
+test: $(STAMP) ## run all tests
+	@$(BIN)/python -m pytest $(ARGS)
+
+lint: $(STAMP) ## check style, formatting, and which package may import which
+	@$(BIN)/ruff check
+	@$(BIN)/ruff format --check
+	@$(BIN)/lint-imports --no-logo
+
+type: $(STAMP) ## check types
+	@$(BIN)/mypy
+
+format: $(STAMP) ## format the code, and mend what ruff can mend
+	@$(BIN)/ruff check --fix --exit-zero
+	@$(BIN)/ruff format
+
+bench: $(STAMP) ## run every benchmark, one after the other
+	@set -e; for file in benchmarks/*.py; do echo "== $$file"; $(BIN)/python $$file; done
+
+clean: ## delete what can be made again (runs/ and .venv stay)
+	@rm -rf build dist ./*.egg-info .pytest_cache .mypy_cache .ruff_cache .hypothesis .import_linter_cache
+	@find . -path ./$(VENV) -prune -o -path ./runs -prune -o -type d -name __pycache__ -exec rm -rf {} +

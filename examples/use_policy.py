@@ -1,0 +1,27 @@
+"""A trained policy in a program of your own: ``python examples/use_policy.py runs/task7/latest``."""
+
+from __future__ import annotations
+
+import sys
+
+import gymnasium
+
+from t4nmtd_dist.policy import load
+
+
+def play(path: str) -> bool:
+    """Play one episode with the policy in ``path`` (a run, or an exported policy); whether the task was solved."""
+    policy = load(path)
+    env = gymnasium.make("envs:t4nmtd/FrozenLake-v0", goals=1, max_episode_steps=200)
+    observation, info = env.reset()
+    q, over = policy.dfa.initial, False
+    while q not in policy.dfa.accepting and not over:
+        observation, _, terminated, truncated, info = env.step(policy.act(observation, info["labels"]))
+        q, over = policy.dfa.step(q, info["labels"]), terminated or truncated
+    solved = q in policy.dfa.accepting
+    print(f"DFA state {q}: {'solved' if solved else 'not solved'}")
+    return solved
+
+
+if __name__ == "__main__":
+    play(sys.argv[1] if len(sys.argv) > 1 else "runs/task7/latest")

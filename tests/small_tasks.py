@@ -1,0 +1,66 @@
+"""Task 7 with tiny networks and roll-outs, compiled once per test process, and ways through its lake."""
+
+from __future__ import annotations
+
+from dataclasses import fields
+from functools import cache
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from t4nmtd_dist.compiled import CompiledTask, compile_task
+from t4nmtd_dist.config import LearnerConfig, TaskConfig
+from t4nmtd_dist.initial_state_buffer import InitialStateBuffer
+from t4nmtd_dist.learners.build import build_learner
+from t4nmtd_dist.learners.ppo import PPOLearner
+from t4nmtd_dist.tasks import load_task
+from t4nmtd_dist.worlds import make_world
+
+TINY = ("ppo.worlds=4", "ppo.rollout=16", "ppo.epochs=2", "ppo.minibatch=32", "learner.hidden=[16]")
+
+# Algorithm 2 and nothing else: extensions of it, as far as there are any, are off.
+_EXTENSIONS = {"revisit_share": "0.0", "hand_over": '"targets"'}
+PLAIN = tuple(f"learner.{f.name}={_EXTENSIONS[f.name]}" for f in fields(LearnerConfig) if f.name in _EXTENSIONS)
+
+LEFT, DOWN, RIGHT, UP, PICK, DROP = range(6)
+TO_PASSENGER_2 = (RIGHT, RIGHT, RIGHT, DOWN, DOWN, DOWN)
+TO_GOAL = (DOWN, DOWN, RIGHT, RIGHT)  # from passenger 2
+INTO_HOLE = (DOWN, DOWN)  # from the start
+START, CARRYING_2, ERROR, ACCEPTING = 0, 2, 3, 5  # states of the task's automaton
+
+
+@cache
+def small_config(*flags: str) -> TaskConfig:
+    """Settings of task 7 with tiny learners; further ``key=value`` flags on top."""
+    return load_task("task7", flags=[*TINY, *flags])
+
+
+@cache
+def small_task(*flags: str) -> CompiledTask:
+    """Task 7 compiled with the settings of ``small_config``."""
+    return compile_task(small_config(*flags))
+
+
+def snapshot_after(*actions: int) -> NDArray[np.generic]:
+    """The lake after some actions from its start."""
+    world = make_world(small_config().environment, 1)
+    world.reset(np.array([0]), 0)
+    for action in actions:
+        world.step(np.array([action]))
+    return world.snapshot(np.array([0]))[0]
+
+
+def small_learner(pid: str, *flags: str, starts: tuple[tuple[int, NDArray[np.generic]], ...] = ()) -> PPOLearner:
+    """A learner of task 7 whose buffer holds ``starts`` as (DFA state, snapshot)."""
+    task, buffer = small_task(*PLAIN, *flags), InitialStateBuffer(100)
+    for q, state in starts:
+        buffer.add(q, state)
+    return build_learner(task, pid, buffer, task.q_table(), seed=0)
+
+
+def own_task(folder: Path, text: str) -> Path:
+    """A task file of one's own in ``folder``."""
+    path = folder / "own.toml"
+    path.write_text(text, encoding="utf-8")
+    return path

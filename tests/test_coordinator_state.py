@@ -1,0 +1,433 @@
+"""The coordinator's state machine by lists of events: leases, exactly-once progress, start states, evaluations."""
+
+from __future__ import annotations
+
+from typing import Any, TypeVar
+
+import numpy as np
+import pytest
+from coordinator_events import Conversation, changes, starts
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from coordinator.events import Finish, RecordEvaluation, Send, Tell
+from t4nmtd_dist.wire.messages import (
+    EvaluationJob,
+    EvaluationPoll,
+    EvaluationReport,
+    Failure,
+    Goodbye,
+    Granted,
+    LearnerStats,
+    Refused,
+    Release,
+    Shutdown,
+    SyncReply,
+)
+
+T = TypeVar("T")
+ACCEPTING, ERROR = 5, 3
+
+
+def of(kind: type[T], actions: list[Any]) -> list[T]:
+    return [action for action in actions if isinstance(action, kind)]
+
+
+# Claims and leases
+
+
+def test_every_subtask_is_given_once_and_then_workers_stand_by() -> None:
+    talk = Conversation()
+    pids = [talk.claim(None, f"w{i}").pid for i in range(4)]
+    assert sorted(pids) == list(talk.state.task.decomposition.pids)
+    refused = talk.refused(None, "w5")
+    assert (refused.reason, refused.final) == ("nothing free", False)
+
+
+def test_a_grant_brings_the_compiled_task() -> None:
+    talk = Conversation()
+    granted = talk.claim("g")
+    assert granted.dfa == talk.state.task.dfa.to_json()
+    assert granted.decomposition == talk.state.task.decomposition.to_json()
+    assert granted.rho == list(talk.state.task.rho)
+    assert (granted.boot_id, granted.epoch, granted.version) == ("boot", 1, 0)
+
+
+def test_an_unknown_pid_is_refused_with_the_known_ones() -> None:
+    refused = Conversation().refused("p9", "w")
+    assert (refused.reason, refused.final) == ("unknown pid", True)
+    assert "g, p1, p2, p3" in refused.text
+
+
+def test_a_live_lease_is_refused_until_it_expires() -> None:
+    talk = Conversation(lease_s=10.0)
+    talk.claim("g", "old")
+    talk.now = 9.9
+    refused = talk.refused("g", "new")
+    assert (refused.reason, refused.final) == ("lease is live", True)
+    assert "old" in refused.text
+    talk.now = 10.1
+    assert talk.claim("g", "new").epoch == 2
+
+
+def test_a_heartbeat_keeps_a_lease() -> None:
+    talk = Conversation(lease_s=10.0)
+    talk.claim("g", "old")
+    talk.now = 9.0
+    talk.sync("g", "old")
+    talk.now = 18.0
+    assert talk.refused("g", "new").reason == "lease is live"
+
+
+def test_the_same_instance_starts_a_new_epoch_and_counts_on() -> None:
+    talk = Conversation()
+    talk.claim("g", "w")
+    talk.sync("g", "w", stats=LearnerStats(interactions=100))
+    assert talk.claim("g", "w").epoch == 2
+    talk.sync("g", "w", stats=LearnerStats(interactions=30))
+    assert talk.state.interactions == 130
+
+
+def test_what_crosses_a_new_grant_on_its_way_is_left_unanswered() -> None:
+    talk = Conversation()
+    talk.claim("g", "w")
+    talk.claim("g", "w")
+    assert talk.send("w", talk.sync_message("g", "w", epoch=1)) == []
+    assert isinstance(talk.answer("w", talk.sync_message("g", "w", epoch=2)), SyncReply)
+
+
+def test_the_old_holder_of_a_lease_taken_over_is_told_to_stop() -> None:
+    talk = Conversation(lease_s=10.0)
+    talk.claim("g", "old")
+    talk.now = 11.0
+    talk.claim("g", "new")
+    refused = talk.answer("old", talk.sync_message("g", "old", epoch=1))
+    assert isinstance(refused, Refused)
+    assert (refused.reason, refused.final, refused.pid) == ("stale epoch", True, "g")
+    assert talk.state.leases.live("g", talk.now)
+
+
+def test_after_a_restart_a_lease_is_unknown_but_may_be_claimed_again() -> None:
+    talk = Conversation()
+    refused = talk.answer("w", talk.sync_message("g", "w", epoch=7))
+    assert isinstance(refused, Refused)
+    assert (refused.reason, refused.final) == ("stale epoch", False)
+    assert talk.claim("g", "w").epoch == 1
+
+
+def test_a_sync_for_an_unknown_pid_is_refused() -> None:
+    assert isinstance(Conversation().answer("w", Conversation().sync_message("p9", "w", epoch=1)), Refused)
+
+
+def test_a_lease_given_back_is_free_at_once_and_not_called_lost() -> None:
+    talk = Conversation(lease_s=10.0)
+    epoch = talk.claim("g", "old").epoch
+    talk.send("old", Release(pid="g", epoch=epoch))
+    assert talk.claim("g", "new").epoch == 2
+    talk.send("new", Release(pid="g", epoch=2))
+    talk.now = 100.0
+    assert of(Tell, talk.tick()) == []
+
+
+def test_only_the_holder_can_give_a_lease_back() -> None:
+    talk = Conversation()
+    epoch = talk.claim("g", "holder").epoch
+    talk.send("other", Release(pid="g", epoch=epoch))
+    talk.send("holder", Release(pid="g", epoch=epoch - 1))
+    assert talk.state.leases.live("g", talk.now)
+
+
+def test_a_silent_learner_is_called_lost_once() -> None:
+    talk = Conversation(lease_s=10.0)
+    talk.claim("g", "w")
+    talk.now = 9.0
+    assert talk.tick() == []
+    talk.now = 11.0
+    (told,) = of(Tell, talk.tick())
+    assert "g lost" in told.text
+    assert talk.tick() == []
+
+
+def test_new_weights_go_to_the_next_holder() -> None:
+    talk = Conversation(lease_s=10.0)
+    talk.claim("g", "old")
+    talk.sync("g", "old", version=4, arrays={"weights.actor.0.weight": np.ones((2, 2))})
+    talk.now = 11.0
+    actions = talk.send("new", talk.claim_message("g", "new"))
+    sent = next(action for action in of(Send, actions) if isinstance(action.message, Granted))
+    assert isinstance(sent.message, Granted)
+    assert sent.message.version == 4
+    assert sent.arrays["weights.actor.0.weight"].tolist() == [[1, 1], [1, 1]]
+
+
+# Progress
+
+
+@settings(max_examples=30)
+@given(repeats=st.integers(1, 4), rows=st.lists(st.tuples(st.integers(0, 4), st.integers(-1, 5)), max_size=6))
+def test_repeated_progress_changes_nothing(repeats: int, rows: list[tuple[int, int]]) -> None:
+    arrays = changes(*[(q, q_next, 3, 1.0) for q, q_next in rows]) | starts((1, 7), (2, 8))
+    talk = Conversation()
+    talk.claim("p1", "w")
+    talk.sync("p1", "w", sequence=1, arrays=arrays)
+    before = talk.fingerprint()
+    for _ in range(repeats):
+        reply = talk.sync("p1", "w", sequence=1, arrays=arrays)
+        assert reply.accepted_sequence == 1
+    assert talk.fingerprint() == before
+    talk.sync("p1", "w", sequence=2, arrays=starts((1, 9)))
+    assert talk.fingerprint() != before
+
+
+def test_an_old_repeat_does_not_turn_the_counters_back() -> None:
+    talk = Conversation()
+    talk.claim("p1", "w")
+    talk.sync("p1", "w", sequence=1, stats=LearnerStats(interactions=10))
+    talk.sync("p1", "w", sequence=2, stats=LearnerStats(interactions=20))
+    talk.sync("p1", "w", sequence=1, stats=LearnerStats(interactions=10))
+    assert talk.state.interactions == 20
+
+
+def test_changes_teach_the_q_table_and_failures_lower_it() -> None:
+    talk = Conversation()
+    talk.claim("p1", "w")
+    talk.sync("p1", "w", arrays=changes((0, 1, 5, 10.0)))
+    first = talk.state.high_level.value(0, "p1")
+    assert first == pytest.approx(10.0)
+    talk.sync("p1", "w", sequence=2, arrays=changes((0, -1, 300, 0.0)))
+    assert 0 < talk.state.high_level.value(0, "p1") < first
+
+
+def test_start_states_are_sent_once() -> None:
+    """Trap: start states re-sent for ever."""
+    talk = Conversation()
+    talk.claim("p1", "w")
+    talk.claim("g", "v")
+    cursor, seen = 0, []
+    for sequence in range(1, 5):
+        talk.sync("p1", "w", sequence=sequence, arrays=starts((1, sequence), (1, 0)))
+        reply, arrays = talk.sync_with_arrays("g", "v", sequence=sequence, cursor=cursor)
+        seen += arrays["starts.state"][:, 0].tolist() if arrays else []
+        cursor = reply.start_cursor
+    assert len(seen) == len(set(seen))
+    _, arrays = talk.sync_with_arrays("g", "v", sequence=9, cursor=cursor)
+    assert arrays == {}
+    everything, _ = zip(*[(state[0], q) for _, q, state in talk.state.records["g"].buffer.since(0, 100)], strict=True)
+    assert sorted(seen) == sorted(everything)
+
+
+def test_a_learner_behind_is_served_in_bounded_portions() -> None:
+    talk = Conversation()
+    talk.claim("p1", "w")
+    talk.claim("g", "v")
+    for n in range(700):
+        talk.state.records["g"].buffer.add(n % 3, np.array([n, 0]))
+    cursor, total, portions = 0, 0, 0
+    while True:
+        reply, arrays = talk.sync_with_arrays("g", "v", sequence=portions + 1, cursor=cursor)
+        if not arrays:
+            break
+        cursor, total, portions = reply.start_cursor, total + len(arrays["starts.q"]), portions + 1
+    assert total == len(talk.state.records["g"].buffer)
+    assert portions > 1
+
+
+@pytest.mark.parametrize("q", [ACCEPTING, ERROR])
+def test_accepting_and_error_states_never_reach_a_buffer(q: int) -> None:
+    talk = Conversation()
+    talk.claim("p1", "w")
+    talk.sync("p1", "w", arrays=starts((q, 1)))
+    assert all(len(record.buffer) == 0 for record in talk.state.records.values())
+
+
+def test_a_start_state_goes_to_a_subtask_available_there() -> None:
+    talk = Conversation("high_level.epsilon=1.0")
+    talk.claim("p1", "w")
+    talk.sync("p1", "w", arrays=starts(*[(1, n) for n in range(60)]))
+    holding = {pid for pid, record in talk.state.records.items() if len(record.buffer)}
+    assert holding == set(talk.state.task.decomposition.available(1))
+
+
+MALFORMED = {
+    "no such state": changes((0, 6, 1, 0.0)),
+    "q is -1": changes((-1, 1, 1, 0.0)),
+    "negative steps": changes((0, 1, -5, 0.0)),
+    "reward is nan": changes((0, 1, 1, float("nan"))),
+    "reward is infinite": changes((0, 1, 1, float("inf"))),
+    "lengths differ": changes((0, 1, 1, 0.0)) | {"progress.reward": np.zeros(2)},
+    "q is no matrix": {"progress.q": np.zeros(3, np.int32)},
+    "q is a float": {"progress.q": np.zeros((1, 3)), "progress.reward": np.zeros(1)},
+    "start without state": {"starts.q": np.zeros(1, np.int32)},
+    "starts.q a scalar": starts((1, 1)) | {"starts.q": np.int32(1)},
+    "start outside": starts((6, 1)),
+    "a start of another size": {"starts.q": np.zeros(1, np.int32), "starts.state": np.zeros((1, 5), np.int64)},
+    "a start of another type": {"starts.q": np.zeros(1, np.int32), "starts.state": np.zeros((1, 2), np.float32)},
+}
+
+
+@pytest.mark.parametrize("arrays", MALFORMED.values(), ids=MALFORMED.keys())
+def test_malformed_progress_is_answered_and_changes_nothing(arrays: dict[str, Any]) -> None:
+    talk = Conversation("high_level.smdp_discount=true")
+    for pid in talk.state.task.decomposition.pids:
+        talk.claim(pid, pid)
+    talk.sync("p1", "p1", arrays=starts((1, 1)))
+    before = talk.fingerprint()
+    arrays = {name: np.asarray(array) for name, array in arrays.items()}
+    assert isinstance(talk.answer("p1", talk.sync_message("p1", "p1", sequence=2), arrays), Failure)
+    assert talk.fingerprint() == before
+    for pid in talk.state.task.decomposition.pids:
+        talk.sync(pid, pid, sequence=3, arrays=starts((1, 2), (2, 3), (4, 4)))
+
+
+# The end
+
+
+def test_the_run_ends_when_the_budget_is_spent() -> None:
+    talk = Conversation(max_interactions=100)
+    talk.claim("p1", "w")
+    talk.claim("g", "v")
+    talk.sync("p1", "w", stats=LearnerStats(interactions=60))
+    assert talk.state.outcome is None
+    actions = talk.send("v", talk.sync_message("g", "v", stats=LearnerStats(interactions=40)))
+    assert [finish.outcome for finish in of(Finish, actions)] == ["budget spent"]
+    told = {send.peer for send in of(Send, actions) if isinstance(send.message, Goodbye)}
+    assert told == {b"w", b"v"}
+    assert talk.answer("late", talk.claim_message("p2", "late")) == Goodbye(reason="budget spent")
+    assert talk.state.outcome == "budget spent"
+
+
+def test_a_shutdown_ends_the_run_once() -> None:
+    talk = Conversation()
+    assert len(of(Finish, talk.send("launcher", Shutdown(reason="asked")))) == 1
+    assert of(Finish, talk.send("launcher", Shutdown(reason="asked"))) == []
+
+
+# Evaluations
+
+
+class Evaluated(Conversation):
+    """A conversation with one learner and an evaluator."""
+
+    def __init__(self, *flags: str) -> None:
+        super().__init__("evaluation.every=100", "evaluation.in_a_row=5", *flags)
+        self.claim("p1", "w")
+        self.epoch = self.claim_evaluator("e").epoch
+        self.steps = self.weights_version = 0
+
+    def train(self, steps: int, *, fresh: bool = True) -> None:
+        self.steps += steps
+        self.weights_version += fresh
+        arrays = {"weights.actor.0.weight": np.full(1, self.weights_version, np.float32)} if fresh else {}
+        stats = LearnerStats(phase="training", interactions=self.steps)
+        self.sync("p1", "w", sequence=self.steps, version=self.weights_version, stats=stats, arrays=arrays)
+
+    def poll(self) -> EvaluationJob:
+        job = self.answer("e", EvaluationPoll(epoch=self.epoch))
+        assert isinstance(job, EvaluationJob)
+        return job
+
+    def report(self, job: int, success: float, length: float = 20.0) -> list[Any]:
+        report = EvaluationReport(
+            epoch=self.epoch,
+            job=job,
+            success_rate=success,
+            mean_length=length,
+            std_length=0.0,
+            mean_return=1.0,
+            episodes=20,
+            dfa_path=[0],
+        )
+        return self.send("e", report)
+
+    def evaluate(self, success: float, length: float = 20.0) -> list[Any]:
+        self.train(100)
+        return self.report(self.poll().job, success, length)
+
+
+def test_an_evaluation_is_due_only_after_enough_interactions_on_fresh_weights() -> None:
+    talk = Evaluated()
+    assert talk.poll().job == 0
+    talk.train(99)
+    assert talk.poll().job == 0
+    talk.train(1)
+    first = talk.poll()
+    assert (first.job, first.interactions, first.versions) == (1, 100, {"p1": 2})
+    talk.train(1000, fresh=False)
+    assert talk.poll().job == 0, "the same weights must not be evaluated twice"
+    talk.train(1)
+    assert talk.poll().job == 2
+
+
+def test_every_training_learner_must_have_fresh_weights() -> None:
+    talk = Evaluated()
+    talk.claim("g", "v")
+    stats = LearnerStats(phase="training", interactions=1)
+    talk.sync("g", "v", version=1, stats=stats, arrays={"weights.actor.0.weight": np.ones(1)})
+    talk.train(100)
+    assert talk.poll().job == 1
+    talk.train(100)
+    assert talk.poll().job == 0, "g is training and has sent nothing new"
+    talk.now += 1000.0  # g falls silent, p1 goes on
+    talk.train(100)
+    assert talk.poll().job == 2
+
+
+def test_the_weights_of_a_job_are_those_of_its_versions() -> None:
+    talk = Evaluated()
+    talk.train(100)
+    actions = talk.send("e", EvaluationPoll(epoch=talk.epoch))
+    (sent,) = of(Send, actions)
+    assert {name: array.tolist() for name, array in sent.arrays.items()} == {"p1/weights.actor.0.weight": [1.0]}
+
+
+def test_solved_after_five_perfect_evaluations_in_a_row_and_dated_at_the_first() -> None:
+    talk = Evaluated()
+    for success in (1.0, 1.0, 1.0, 1.0, 0.95):
+        assert of(Finish, talk.evaluate(success)) == []
+    for _ in range(4):
+        assert of(Finish, talk.evaluate(1.0)) == []
+    (finish,) = of(Finish, talk.evaluate(1.0))
+    assert finish.outcome == "solved"
+    assert talk.state.evaluations.solved_at == 600
+    assert talk.state.evaluations.converged
+    assert talk.state.evaluations.last is not None
+    assert talk.state.evaluations.last.interactions == 1000
+
+
+def test_solved_with_lengths_that_spread_is_not_converged() -> None:
+    talk = Evaluated()
+    for length in (10.0, 20.0, 30.0, 40.0, 50.0):
+        talk.evaluate(1.0, length)
+    assert talk.state.evaluations.solved
+    assert not talk.state.evaluations.converged
+
+
+def test_a_success_rate_that_is_no_number_is_no_success() -> None:
+    talk = Evaluated()
+    for _ in range(5):
+        talk.evaluate(float("nan"))
+    assert not talk.state.evaluations.solved
+
+
+def test_the_report_of_a_stale_job_is_ignored() -> None:
+    talk = Evaluated()
+    talk.train(100)
+    old = talk.poll().job
+    talk.train(100)
+    new = talk.poll().job
+    assert talk.report(old, 1.0) == []
+    assert talk.state.evaluations.history == []
+    assert len(of(RecordEvaluation, talk.report(new, 1.0))) == 1
+    assert talk.report(new, 1.0) == [], "a repeated report counts once"
+
+
+def test_an_evaluator_taken_over_is_told_so_and_its_report_ignored() -> None:
+    talk = Evaluated()
+    talk.train(100)
+    job = talk.poll().job
+    talk.now += 1000.0
+    talk.claim_evaluator("e2")
+    assert talk.report(job, 1.0) == []
+    refused = talk.answer("e", EvaluationPoll(epoch=talk.epoch))
+    assert isinstance(refused, Refused)
+    assert not refused.final

@@ -1,0 +1,215 @@
+"""PPO with policy intervention: advantages, and where every bootstrap value comes from."""
+
+from __future__ import annotations
+
+from functools import partial
+
+import numpy as np
+import pytest
+import torch
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from hypothesis.extra import numpy as hnp
+from numpy.typing import NDArray
+from small_tasks import CARRYING_2, PICK, START, TO_GOAL, TO_PASSENGER_2, small_learner, small_task, snapshot_after
+
+from coordinator.state import RunSettings
+from t4nmtd_dist.launch.serial import SerialRun
+from t4nmtd_dist.learners.peers import LocalPeers, NoPeers, PeerCritics, PeerValues
+from t4nmtd_dist.learners.ppo import PPOLearner, generalised_advantages
+
+Floats = NDArray[np.float32]
+
+BESIDE_2 = snapshot_after(*TO_PASSENGER_2)
+WITH_2 = snapshot_after(*TO_PASSENGER_2, PICK)
+BESIDE_GOAL = snapshot_after(*TO_PASSENGER_2, PICK, *TO_GOAL[:-1])
+
+matrices = partial(hnp.arrays, np.float32, (7, 3))
+numbers = st.floats(-10, 10, width=32)
+
+
+@settings(max_examples=60)
+@given(
+    matrices(elements=numbers),
+    matrices(elements=numbers),
+    matrices(elements=numbers),
+    hnp.arrays(np.bool_, (7, 3)),
+    st.floats(0, 1),
+    st.floats(0, 1),
+)
+def test_advantages_are_the_discounted_sums_of_deltas_up_to_the_next_cut(
+    rewards: Floats, values: Floats, next_values: Floats, cut: NDArray[np.bool_], gamma: float, gae_lambda: float
+) -> None:
+    found = generalised_advantages(rewards, values, next_values, cut, gamma=gamma, gae_lambda=gae_lambda)
+    for n in range(3):
+        for t in range(7):
+            expected, weight = 0.0, 1.0
+            for k in range(t, 7):
+                expected += weight * (float(rewards[k, n]) + gamma * float(next_values[k, n]) - float(values[k, n]))
+                weight *= gamma * gae_lambda
+                if cut[k, n]:
+                    break
+            assert found[t, n] == pytest.approx(expected, abs=1e-3)
+
+
+# Bootstrap values
+
+
+class RecordingPeers(LocalPeers):
+    """Peers of this process that also keep what they were asked: (row, pid, observation, q)."""
+
+    def __init__(self, learners: dict[str, PPOLearner]) -> None:
+        super().__init__({pid: learner.critic_values for pid, learner in learners.items()})
+        self.learners = learners
+        self.questions: list[tuple[int, str, Floats, int]] = []
+
+    def ask(self, row: int, pid: str, observation: Floats, q: int) -> None:
+        self.questions.append((row, pid, observation.copy(), q))
+        super().ask(row, pid, observation, q)
+
+
+class HalfOfThem:
+    """Passes every other question on: the others stay without an answer."""
+
+    def __init__(self, peers: PeerCritics) -> None:
+        self.peers, self.counts = peers, peers.counts
+        self.answered: set[int] = set()
+        self.turn = 0
+
+    def ask(self, row: int, pid: str, observation: Floats, q: int) -> None:
+        self.turn += 1
+        if self.turn % 2:
+            self.answered.add(row)
+            self.peers.ask(row, pid, observation, q)
+
+    def gather(self) -> PeerValues:
+        return self.peers.gather()
+
+
+def value_of(learner: PPOLearner, observation: Floats, q: int) -> float:
+    """V(s, q) by the network itself, its input put together by hand."""
+    one_hot = torch.zeros(small_task().dfa.states)
+    one_hot[q] = 1.0
+    with torch.no_grad():
+        return float(learner.network.critic(torch.cat([torch.from_numpy(observation), one_hot])))
+
+
+def crossing_learner(*flags: str) -> tuple[PPOLearner, dict[str, PPOLearner]]:
+    """A learner of p2 that begins beside its passenger, and its peers."""
+    learner = small_learner("p2", "ppo.rollout=32", "learner.attempt_steps=6", *flags, starts=((START, BESIDE_2),))
+    return learner, {pid: small_learner(pid, *flags) for pid in ("g", "p1", "p3")}
+
+
+def collected(learner: PPOLearner, peers: PeerCritics) -> tuple[Floats, Floats]:
+    """Values and bootstrap values, flat, of one roll-out."""
+    assert learner.attempts.begin()
+    learner.collect(peers)
+    with torch.no_grad():
+        values, next_values = learner._bootstrap(peers)
+    return values, next_values.reshape(-1)
+
+
+@pytest.mark.parametrize("shaping", ["paper", "potential", "subtask"])
+def test_across_a_boundary_the_value_is_the_peers_own_at_the_state_after_the_change(shaping: str) -> None:
+    """Trap: a peer's value taken with the learner's own DFA one-hot wrong or shifted by one."""
+    learner, others = crossing_learner(f"learner.shaping={shaping}")
+    peers = RecordingPeers(others)
+    _, next_values = collected(learner, peers)
+    assert len(peers.questions) > 3
+    for row, pid, observation, q in peers.questions:
+        assert pid in small_task().decomposition.available(q)
+        assert pid != learner.pid
+        assert next_values[row] == pytest.approx(value_of(others[pid], observation, q), abs=1e-6)
+        for wrong in (START, q + 1):
+            assert abs(next_values[row] - value_of(others[pid], observation, wrong)) > 1e-5
+
+
+def test_what_is_asked_is_the_state_after_the_change_not_the_one_of_the_restart() -> None:
+    learner, others = crossing_learner()
+    peers = RecordingPeers(others)
+    collected(learner, peers)
+    targets = [(observation, q) for _, _, observation, q in peers.questions if q == CARRYING_2]
+    assert targets, "passenger 2 is one pick away from every start"
+    reference = small_learner("g", starts=((CARRYING_2, WITH_2),))
+    reference.attempts.begin()
+    assert any(np.array_equal(observation, reference.attempts.observations[0]) for observation, _ in targets)
+
+
+@pytest.mark.parametrize("half", [False, True])
+def test_rows_without_an_answer_use_the_own_critic(half: bool) -> None:
+    learner, others = crossing_learner()
+    asked = HalfOfThem(RecordingPeers(others))
+    values, next_values = collected(learner, asked if half else NoPeers())
+    rollout = learner._rollout
+    boundary, terminal = rollout.boundary.reshape(-1), rollout.terminal.reshape(-1)
+    observations = rollout.boundary_observations.reshape(len(boundary), -1)
+    own = [row for row in np.flatnonzero(boundary) if not (half and row in asked.answered)]
+    assert own
+    for row in own:
+        expected = value_of(learner, observations[row], int(rollout.boundary_q.reshape(-1)[row]))
+        assert next_values[row] == pytest.approx(expected, abs=1e-6)
+    count = values.shape[1]
+    inside = [row for row in np.flatnonzero(~boundary & ~terminal) if row + count < len(next_values)]
+    assert next_values[inside] == pytest.approx(values.reshape(-1)[np.array(inside) + count], abs=1e-6)
+
+
+def test_acceptance_and_holes_are_worth_nothing_and_a_time_out_is_not_terminal() -> None:
+    learner = small_learner("g", "learner.attempt_steps=5", starts=((CARRYING_2, BESIDE_GOAL),))
+    _, next_values = collected(learner, NoPeers())
+    rollout = learner._rollout
+    terminal = rollout.terminal.reshape(-1)
+    assert terminal.any()
+    assert (next_values[terminal] == 0).all()
+    timed_out = (rollout.cut & ~rollout.terminal).reshape(-1)
+    assert timed_out.any()
+    assert (next_values[timed_out] != 0).all()
+
+
+def test_nobody_is_asked_about_terminals_or_inside_a_subtask() -> None:
+    learner, others = crossing_learner()
+    peers = RecordingPeers(others)
+    collected(learner, peers)
+    rollout = learner._rollout
+    for row, _, observation, q in peers.questions:
+        t, n = divmod(row, rollout.rewards.shape[1])
+        assert rollout.boundary[t, n]
+        assert np.array_equal(observation, rollout.boundary_observations[t, n])
+        assert q == rollout.boundary_q[t, n]
+        assert q != np.argmax(rollout.states[t, n, -small_task().dfa.states :])
+
+
+def critics_after(mode: str, rounds: int = 2) -> dict[str, NDArray[np.float32]]:
+    """Critic parameters of p2 after some serial rounds that begin beside its passenger."""
+    task = small_task(f"learner.intervention={mode}", "learner.attempt_steps=6")
+    run = SerialRun(task, RunSettings(seed=0, max_interactions=10**9, boot_id="b"), lambda: 0.0)
+    run.sessions["p2"].buffer.add(START, BESIDE_2)
+    for _ in range(rounds):
+        run.round()
+    asked = run.sessions["p2"]._stats().intervention.asked
+    assert (asked > 0) == (mode != "off")
+    return {k: v for k, v in run.sessions["p2"].learner.weights().items() if k.startswith("critic")}
+
+
+def test_intervention_changes_the_critic_and_only_that_way_of_bootstrapping() -> None:
+    on, again, off = critics_after("query"), critics_after("local"), critics_after("off")
+    assert all(np.array_equal(on[name], again[name]) for name in on)
+    assert any(not np.array_equal(on[name], off[name]) for name in on)
+
+
+def test_the_published_critic_is_the_one_after_the_last_update() -> None:
+    learner = small_learner("p2")
+    q = np.array([START, CARRYING_2], np.int32)
+    for version in range(1, 3):
+        learner.iterate(NoPeers())
+        observations = learner.attempts.observations[:2]
+        values, published = learner.published.values({"observation": observations, "q": q})
+        assert published == learner.version == version
+        assert values == pytest.approx(learner.critic_values(observations, q), abs=1e-6)
+
+
+def test_weights_go_from_one_learner_to_another() -> None:
+    first, second = small_learner("p2"), small_learner("p2", "learner.gamma=0.5")
+    first.iterate(NoPeers())
+    second.load(first.weights(), first.version)
+    assert second.version == first.version == 1
+    assert all(np.array_equal(a, b) for a, b in zip(first.weights().values(), second.weights().values(), strict=True))

@@ -1,0 +1,82 @@
+"""What learning needs is slow to import (torch, the worlds): it is loaded aside, once a lease is held."""
+
+from __future__ import annotations
+
+import importlib
+from collections.abc import Mapping
+from concurrent.futures import Future, ThreadPoolExecutor
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+from numpy.typing import NDArray
+
+from t4nmtd_dist.wire.messages import Granted, LearnerStats, Sync
+
+if TYPE_CHECKING:
+    from workers.evaluation_session import EvaluationSession
+    from workers.learner_session import LearnerSession
+
+HEAVY = ("workers.learner_session", "workers.evaluation_session", "torch._dynamo")  # an optimiser imports the last
+
+
+@dataclass(frozen=True)
+class WaitingLease:
+    """A lease that is held already, but cannot be worked under before everything is loaded."""
+
+    granted: Granted
+    arrays: Mapping[str, NDArray[Any]]
+
+    def heartbeat(self) -> Sync:
+        """Keeps the lease alive; sequence 0 carries no progress."""
+        granted = self.granted
+        return Sync(
+            pid=granted.pid,
+            epoch=granted.epoch,
+            sequence=0,
+            version=granted.version,
+            start_cursor=0,
+            stats=LearnerStats(),
+        )
+
+    def learn(self) -> LearnerSession:
+        """The learner of this lease; call once loaded."""
+        import torch
+
+        from workers.learner_session import LearnerSession
+
+        torch.set_num_threads(1)
+        return LearnerSession(self.granted, self.arrays)
+
+    def evaluate(self) -> EvaluationSession:
+        """The evaluator of this lease; call once loaded."""
+        import torch
+
+        from workers.evaluation_session import EvaluationSession
+
+        torch.set_num_threads(1)
+        return EvaluationSession(self.granted)
+
+
+class Loader:
+    """Imports in a thread, so that the worker goes on hearing the coordinator and signals meanwhile."""
+
+    def __init__(self) -> None:
+        self._done: Future[None] | None = None
+
+    def ready(self) -> bool:
+        """Whether all is loaded; the first call starts it.
+
+        Raises:
+            ImportError: if a package is missing.
+        """
+        if self._done is None:
+            self._done = ThreadPoolExecutor(1, "loader").submit(_load)
+        if not self._done.done():
+            return False
+        self._done.result()
+        return True
+
+
+def _load() -> None:
+    for name in HEAVY:
+        importlib.import_module(name)
