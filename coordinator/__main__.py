@@ -51,6 +51,8 @@ def run(command: CoordinatorCommand) -> int:
     except T4NMTDError as error:
         print(f"t4nmtd-coordinator: {error}", file=sys.stderr)
         return 2
+    except KeyboardInterrupt:
+        return EXIT_CODES["stopped"]
 
 
 def _serve(command: CoordinatorCommand) -> int:

@@ -160,7 +160,7 @@ def _restored(data: Mapping[str, Any], actors: ActorWeights, folder: Path) -> Gl
         Decomposition.from_json(data["decomposition"]),
         [(q, pid, value) for q, pid, value in data["q_table"]],
         actors,
-        np.array(data["rho"], np.float64).reshape(len(data["rho"])),
+        np.array(data["rho"], np.float64).reshape(int(data["dfa"]["states"])),
     )
 
 

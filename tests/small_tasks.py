@@ -7,6 +7,7 @@ from functools import cache
 from pathlib import Path
 
 import numpy as np
+import torch
 from numpy.typing import NDArray
 
 from t4nmtd_dist.compiled import CompiledTask, compile_task
@@ -16,6 +17,8 @@ from t4nmtd_dist.learners.build import build_learner
 from t4nmtd_dist.learners.ppo import PPOLearner
 from t4nmtd_dist.tasks import load_task
 from t4nmtd_dist.worlds import make_world
+
+torch.set_num_threads(1)
 
 TINY = ("ppo.worlds=4", "ppo.rollout=16", "ppo.epochs=2", "ppo.minibatch=32", "learner.hidden=[16]")
 

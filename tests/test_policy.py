@@ -179,6 +179,7 @@ DAMAGES: dict[str, Callable[[Path], Any]] = {
     "a task with an unknown key": edited(lambda data: {**data, "task": {**data["task"], "x": 1}}),
     "a table of another kind": edited(lambda data: {**data, "q_table": [[1, 2]]}),
     "potentials of another kind": edited(lambda data: {**data, "rho": "x"}),
+    "too few potentials": edited(lambda data: {**data, "rho": [1.0]}),
     "no actors": lambda folder: (folder / ACTORS_FILE).unlink(),
     "actors cut short": lambda folder: (folder / ACTORS_FILE).write_bytes((folder / ACTORS_FILE).read_bytes()[:200]),
     "actors empty": lambda folder: (folder / ACTORS_FILE).write_bytes(b""),

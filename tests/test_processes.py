@@ -23,11 +23,6 @@ from processes import POLL_S, Processes, Started, endpoints, events, processes_o
 
 from t4nmtd_dist.wire.messages import DashboardState, LearnerRow
 
-SOLVING = [
-    *("--set", "learner.shaping=potential"),
-    *("--set", "ppo.entropy_coefficient=0.05"),
-    *("--set", "learner.gamma=0.97"),
-]
 SUBTASKS = ("p1", "p2", "p3", "g")
 ERROR_S = 3.0
 END_S = 5.0
@@ -184,7 +179,7 @@ def evaluated(processes: Processes, path: Path) -> dict[str, float]:
 @pytest.mark.timeout(300)
 def test_processes_started_by_hand_solve_task7(processes: Processes) -> None:
     run = processes.folder / "run"
-    coordinator = processes.coordinator(run, "--seed", "7", *SOLVING)
+    coordinator = processes.coordinator(run, "--seed", "7")
     roles = [["--pid", pid] for pid in SUBTASKS] + [["--evaluate"]]
     workers = [processes.worker(run, *role) for role in roles]
     processes.until(lambda: coordinator.process.poll() is not None, "task7 is solved", SOLVE_S)
@@ -210,7 +205,7 @@ def test_processes_started_by_hand_solve_task7(processes: Processes) -> None:
 @pytest.mark.timeout(300)
 def test_a_worker_killed_before_its_first_success_starts_again_and_the_task_is_solved(processes: Processes) -> None:
     run = processes.folder / "run"
-    command = ["train", "--task", "task7", "--seed", "8", "--run-dir", str(run), "--no-dashboard", *SOLVING]
+    command = ["train", "--task", "task7", "--seed", "8", "--run-dir", str(run), "--no-dashboard"]
     launcher = processes.start("t4nmtd", *command)
     processes.until(lambda: "g takes g (epoch 1)" in events(run), "g is held")
     number = worker_number(run, "g")

@@ -59,6 +59,8 @@ def run(command: WorkerCommand) -> int:
     except T4NMTDError as error:
         print(f"t4nmtd-worker: {error}", file=sys.stderr)
         return 2
+    except KeyboardInterrupt:
+        return 130
 
 
 def _work(command: WorkerCommand) -> int:

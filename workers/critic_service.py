@@ -69,6 +69,8 @@ class CriticService:
         critic = self._critics.get(request.pid)
         if critic is None:
             return Failure(text=f"no critic of {request.pid!r} here"), {}
+        if envelope.arrays.get("q", np.empty(0)).ndim != 1:
+            return Failure(text="a value request needs q of one dimension"), {}
         try:
             values, version = critic.values(envelope.arrays)
         except ProtocolError as error:

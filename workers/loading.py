@@ -3,20 +3,23 @@
 from __future__ import annotations
 
 import importlib
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 from numpy.typing import NDArray
 
-from t4nmtd_dist.wire.messages import Granted, LearnerStats, Sync
+from t4nmtd_dist.wire.messages import Granted, LearnerStats, Role, Sync
 
 if TYPE_CHECKING:
     from workers.evaluation_session import EvaluationSession
     from workers.learner_session import LearnerSession
 
-HEAVY = ("workers.learner_session", "workers.evaluation_session", "torch._dynamo")  # an optimiser imports the last
+HEAVY: dict[Role, tuple[str, ...]] = {
+    "learner": ("workers.learner_session", "torch._dynamo"),  # the first optimiser would import the latter
+    "evaluator": ("workers.evaluation_session",),
+}
 
 
 @dataclass(frozen=True)
@@ -58,9 +61,14 @@ class WaitingLease:
 
 
 class Loader:
-    """Imports in a thread, so that the worker goes on hearing the coordinator and signals meanwhile."""
+    """Imports in a thread, so that the worker goes on hearing the coordinator and signals meanwhile.
 
-    def __init__(self) -> None:
+    Args:
+        role: for whose work.
+    """
+
+    def __init__(self, role: Role) -> None:
+        self._role: Role = role
         self._done: Future[None] | None = None
 
     def ready(self) -> bool:
@@ -70,13 +78,13 @@ class Loader:
             ImportError: if a package is missing.
         """
         if self._done is None:
-            self._done = ThreadPoolExecutor(1, "loader").submit(_load)
+            self._done = ThreadPoolExecutor(1, "loader").submit(_load, HEAVY[self._role])
         if not self._done.done():
             return False
         self._done.result()
         return True
 
 
-def _load() -> None:
-    for name in HEAVY:
+def _load(names: Sequence[str]) -> None:
+    for name in names:
         importlib.import_module(name)

@@ -92,7 +92,7 @@ class Worker:
         self._peers: dict[str, QueryPeers | LocalPeers | NoPeers] = {}
         self._evaluation: EvaluationSession | None = None
         self._waiting: dict[str, WaitingLease] = {}
-        self._loader = Loader()
+        self._loader = Loader(options.role)
         self._heartbeat_due = 0.0
         self._poll_due = 0.0
         self._turn_began = time.monotonic()

@@ -23,7 +23,8 @@ class _Interrupted:
     def __init__(self) -> None:
         self.seen = False
         for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
-            signal.signal(number, self._see)
+            if signal.getsignal(number) is not signal.SIG_IGN:  # nohup ignores SIGHUP, and so it stays
+                signal.signal(number, self._see)
 
     def _see(self, *_: object) -> None:
         self.seen = True

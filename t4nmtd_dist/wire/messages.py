@@ -87,10 +87,10 @@ class LearnerStats(Message, frozen=True):
 class Sync(Message, frozen=True, tag="sync"):
     """Learner -> coordinator, several times a second: heartbeat, progress, weights.
 
-    ``sequence`` numbers the batch of progress; a repeat of a number changes nothing. ``start_cursor`` is the
-    newest start state the learner holds. arrays: ``progress.q`` int32 [n, 3] (q, q' or -1, steps),
-    ``progress.reward`` float64 [n], ``starts.q`` int32 [m], ``starts.state`` [m, s], and ``weights.*`` when
-    ``version`` is newer than what was sent before.
+    ``sequence`` numbers the batch of progress; a repeat of a number changes nothing, and 0 is a heartbeat without
+    progress. ``start_cursor`` is the newest start state the learner holds. arrays: ``progress.q`` int32 [n, 3]
+    (q, q' or -1, steps), ``progress.reward`` float64 [n], ``starts.q`` int32 [m], ``starts.state`` [m, s], and
+    ``weights.*`` when ``version`` is newer than what was sent before.
     """
 
     pid: str

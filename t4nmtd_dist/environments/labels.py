@@ -1,0 +1,82 @@
+"""Which propositions hold: a task's labelling function, or what the environment itself reports."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from t4nmtd_dist.config import EnvironmentConfig
+from t4nmtd_dist.environments.opening import import_function
+from t4nmtd_dist.errors import WorldError
+
+REPORTED = "info['labels']"
+
+
+class LabelReader:
+    """Reads the true propositions after a step.
+
+    Args:
+        config: the section ``[environment]``; ``labels`` names the function, if there is one.
+        propositions: all that may be reported.
+
+    Raises:
+        WorldError: if the function cannot be imported.
+    """
+
+    def __init__(self, config: EnvironmentConfig, propositions: Iterable[str]) -> None:
+        self.propositions = tuple(propositions)
+        self.source = config.labels or REPORTED
+        self._known = frozenset(self.propositions)
+        self._function: Callable[[Any, dict[str, Any]], Any] | None = None
+        if config.labels:
+            self._function = import_function(config.labels, config, "environment.labels")
+
+    def names(self, observation: Any, info: dict[str, Any]) -> frozenset[str]:
+        """Names of the true propositions.
+
+        Args:
+            observation: as the environment gave it.
+            info: likewise.
+
+        Raises:
+            WorldError: if the function raises, or what comes is not a set of declared names.
+        """
+        found = self._found(observation, info)
+        if isinstance(found, str | bytes) or not isinstance(found, Iterable):
+            raise WorldError(f"{self.source} gave {found!r}; expected a set of names out of {self._declared}")
+        try:
+            names = frozenset(found)
+        except TypeError:
+            raise WorldError(f"{self.source} gave {found!r}; expected a set of names") from None
+        if not names <= self._known:
+            strange = next(iter(names - self._known))
+            raise WorldError(
+                f"{self.source} reported {strange!r}, which is not declared; "
+                f"propositions declares {self._declared}: add it there, or do not report it"
+            )
+        return names
+
+    def row(self, observation: Any, info: dict[str, Any]) -> NDArray[np.bool_]:
+        """The true propositions as bool [P], in the order of ``propositions``; raises as ``names`` does."""
+        names = self.names(observation, info)
+        return np.array([name in names for name in self.propositions], dtype=np.bool_)
+
+    def _found(self, observation: Any, info: dict[str, Any]) -> Any:
+        if self._function is None:
+            if "labels" not in info:
+                raise WorldError(
+                    "the environment's info has no 'labels' and the task names no labelling function; "
+                    'add environment.labels = "module:function"'
+                )
+            return info["labels"]
+        try:
+            return self._function(observation, info)
+        except Exception as error:  # whatever a user's function may raise
+            raise WorldError(f"labelling function {self.source} raised {type(error).__name__}: {error}") from error
+
+    @property
+    def _declared(self) -> str:
+        return ", ".join(self.propositions) or "nothing"

@@ -1,0 +1,144 @@
+"""Open what a task file names: a registered Gymnasium id, ``module:id``, or ``module:callable``."""
+
+from __future__ import annotations
+
+import copy
+import importlib
+import sys
+from collections.abc import Callable
+from pathlib import Path
+from types import ModuleType
+from typing import Any
+
+import gymnasium as gym
+
+from t4nmtd_dist.config import EnvironmentConfig
+from t4nmtd_dist.errors import WorldError
+
+Env = gym.Env[Any, Any]
+Spec = gym.envs.registration.EnvSpec
+
+
+def open_environment(config: EnvironmentConfig, *, render_mode: str | None = None) -> Env:
+    """One environment as the task file describes it.
+
+    Of a registered environment, the wrappers of its registration are kept, but not those that ``gymnasium.make``
+    adds on its own account: the time limit (the task's ``horizon`` and the learner's attempts take its place) and two
+    checkers. What a callable returns is kept as it is, with all its wrappers.
+
+    Args:
+        config: the section ``[environment]``.
+        render_mode: passed on to the environment's constructor or to the callable.
+
+    Raises:
+        WorldError: if the environment is unknown, cannot be imported, or refuses its options.
+    """
+    options = {**config.options, **({"render_mode": render_mode} if render_mode else {})}
+    spec = find_spec(config)
+    maker: Callable[..., Any] = _callable(config) if spec is None else _plain(spec)
+    env = _called(config, options, maker)
+    if not isinstance(env, gym.Env):
+        raise WorldError(f"environment {config.id!r} made {type(env).__name__}; expected a gymnasium.Env")
+    return env
+
+
+def find_spec(config: EnvironmentConfig) -> Spec | None:
+    """The registration behind an id; None if the id is ``module:callable``.
+
+    Raises:
+        WorldError: if there is neither.
+    """
+    module_name, _, name = config.id.rpartition(":")
+    module = import_module(module_name, config) if module_name else None
+    if module is not None and name not in gym.registry and _attribute(module, name) is not None:
+        return None
+    try:
+        return gym.spec(name)
+    except gym.error.Error as error:
+        also = f"; module {module_name} has no {name!r} either" if module else ""
+        raise WorldError(f"environment {config.id!r}: {error}{also}") from None
+
+
+def import_function(text: str, config: EnvironmentConfig, key: str) -> Callable[..., Any]:
+    """The function that a setting ``module:function`` names.
+
+    Args:
+        text: the setting.
+        config: whose ``path`` is searched first.
+        key: name of the setting, for messages.
+
+    Raises:
+        WorldError: if there is no such function.
+    """
+    module_name, colon, name = text.partition(":")
+    if not colon or not module_name or not name:
+        raise WorldError(f"{key} = {text!r}: expected module:function")
+    module = import_module(module_name, config)
+    function = _attribute(module, name)
+    if not callable(function):
+        raise WorldError(f"{key} = {text!r}: {_place(module)} has no function {name!r}")
+    return function  # type: ignore[no-any-return]
+
+
+def import_module(name: str, config: EnvironmentConfig) -> ModuleType:
+    """Import a module, looking into the task file's folder first, as Python does for a script.
+
+    Raises:
+        WorldError: if it cannot be imported; the text says where it was searched for.
+    """
+    if config.path and config.path not in sys.path:
+        sys.path.insert(0, config.path)
+    try:
+        return importlib.import_module(name)
+    except ModuleNotFoundError as error:
+        if error.name is None or not f"{name}.".startswith(f"{error.name}."):
+            raise WorldError(f"importing {name!r} for environment {config.id!r}: {error}") from None
+        raise WorldError(f"environment {config.id!r}: no module {name!r}{_searched(config)}") from None
+    except Exception as error:  # whatever a user's module may raise
+        raise WorldError(f"importing {name!r} for environment {config.id!r}: {_described(error)}") from error
+
+
+def _searched(config: EnvironmentConfig) -> str:
+    if not config.path:
+        return "; is it installed?"
+    lacking = "" if Path(config.path).is_dir() else ", which is no folder on this machine"
+    return (
+        f" in {config.path}{lacking}, nor among what is installed; on another machine, install it there or "
+        f"start the worker with PYTHONPATH set to its folder"
+    )
+
+
+def _attribute(module: ModuleType, dotted: str) -> Any:
+    found: Any = module
+    for name in dotted.split("."):
+        found = getattr(found, name, None)
+    return found
+
+
+def _place(module: ModuleType) -> str:
+    return f"{module.__name__} ({getattr(module, '__file__', None) or 'built in'})"
+
+
+def _callable(config: EnvironmentConfig) -> Callable[..., Any]:
+    return import_function(config.id, config, "environment.id")
+
+
+def _plain(spec: Spec) -> Callable[..., Any]:
+    plain = copy.deepcopy(spec)
+    plain.order_enforce, plain.disable_env_checker, plain.max_episode_steps = False, True, None
+    return lambda **options: gym.make(plain, **options)
+
+
+def _called(config: EnvironmentConfig, options: dict[str, Any], maker: Callable[..., Any]) -> Any:
+    try:
+        return maker(**options)
+    except (TypeError, ValueError) as error:
+        raise WorldError(f"environment {config.id!r} refused its options {options}: {error}") from None
+    except (gym.error.Error, ImportError) as error:
+        raise WorldError(f"environment {config.id!r}: {error}") from None
+    except Exception as error:  # whatever a user's code may raise
+        raise WorldError(f"making environment {config.id!r} with {options}: {_described(error)}") from error
+
+
+def _described(error: Exception) -> str:
+    return f"{type(error).__name__}: {error}"
