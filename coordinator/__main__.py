@@ -11,7 +11,7 @@ from types import FrameType
 import tyro
 
 from t4nmtd_dist.cli.options import RunOptions
-from t4nmtd_dist.wire.sockets import DEFAULT_CONTROL, DEFAULT_STATE
+from t4nmtd_dist.wire.endpoints import DEFAULT_CONTROL, DEFAULT_STATE
 
 EXIT_CODES = {"solved": 0, "budget spent": 3, "stopped": 130}
 

@@ -25,11 +25,26 @@ InterventionMode = Literal["query", "local", "off"]
 
 @dataclass(frozen=True)
 class EnvironmentConfig:
-    """The world: a registered Gymnasium id, constructor options, and the episode's horizon in steps."""
+    """The world.
+
+    Attributes:
+        id: a registered Gymnasium id, ``module:id`` (the module registers it), or ``module:callable``.
+        horizon: steps of an episode.
+        options: keywords of the constructor or the callable.
+        labels: ``module:function``, the labelling function; without it the environment reports ``info["labels"]``.
+        path: folder in which modules are looked for first; by default that of the task file. It is absolute by the
+            time that workers see it.
+        snapshots: how states are saved and restored; ``auto`` tries the others in this order and checks each.
+        snapshot_bytes: room of a snapshot, 0 for what the check found; ``replay`` takes what the horizon needs.
+    """
 
     id: str
     horizon: int
     options: dict[str, Any] = field(default_factory=dict)
+    labels: str = ""
+    path: str = ""
+    snapshots: Literal["auto", "own", "mujoco", "attributes", "replay"] = "auto"
+    snapshot_bytes: int = 0
 
 
 @dataclass(frozen=True)

@@ -52,7 +52,9 @@ class Evaluator:
     """
 
     def __init__(self, policy: GlobalPolicy, episodes: int, *, seed: int) -> None:
-        self._world: BatchedWorld = make_world(policy.config.environment, episodes)
+        self._world: BatchedWorld = make_world(
+            policy.config.environment, episodes, policy.config.propositions
+        )
         self._reader = LetterReader(policy.dfa, self._world.propositions)
         self._horizon = policy.config.environment.horizon
         self._rng = np.random.default_rng([seed, 3])
@@ -95,7 +97,7 @@ class Evaluator:
             returns += np.where(error[q_next], 0.0, policy.rho[q_next] - policy.rho[q])
             lengths += ~over
             success |= accepting[q_next] & ~over
-            over = over | accepting[q_next] | error[q_next] | step.terminated
+            over = over | accepting[q_next] | error[q_next] | step.terminated | step.truncated
             observations, q = step.observations, q_next
             if path[-1] != q[0]:
                 path.append(int(q[0]))
@@ -131,7 +133,7 @@ class Evaluator:
                 found[int(row)] = (state, int(q[row]))
             step = self._world.step(self._random_actions(count))
             q = policy.dfa.delta[q, self._reader.letters(step.labels)]
-            alive &= ~(step.terminated | accepting[q] | error[q])
+            alive &= ~(step.terminated | step.truncated | accepting[q] | error[q])
         return found
 
     def _random_actions(self, count: int) -> NDArray[np.generic]:

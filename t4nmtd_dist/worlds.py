@@ -1,12 +1,11 @@
 """Environments as the learners see them: N copies stepped together, with labels and exact snapshots.
 
-Every world here keeps one contract (``BatchedWorld``). A Gymnasium environment with a vector entry point of its
-own is used as it is; any other is stepped copy by copy.
+Every world here keeps one contract (``BatchedWorld``). A vector environment that keeps the contract of
+``envs.protocol`` is used as it is; anything else is stepped copy by copy.
 """
 
 from __future__ import annotations
 
-import importlib
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any, Protocol
@@ -16,6 +15,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from t4nmtd_dist.config import EnvironmentConfig
+from t4nmtd_dist.environments.copies import EnvironmentCopy
+from t4nmtd_dist.environments.observations import flattener
+from t4nmtd_dist.environments.opening import Spec, find_spec
+from t4nmtd_dist.environments.restoring import with_snapshots
 from t4nmtd_dist.errors import WorldError
 
 Rows = NDArray[np.int64]
@@ -30,11 +33,13 @@ class WorldStep:
         observations: float32 [N, d], after the step.
         labels: bool [N, P], the true propositions of each copy in the order of ``propositions``.
         terminated: bool [N], copies whose environment has ended.
+        truncated: bool [N], copies whose environment cut the episode: a time-out, after which it cannot go on.
     """
 
     observations: Observations
     labels: NDArray[np.bool_]
     terminated: NDArray[np.bool_]
+    truncated: NDArray[np.bool_]
 
 
 class BatchedWorld(Protocol):
@@ -53,6 +58,10 @@ class BatchedWorld(Protocol):
     observation_size: int
     action_space: gym.Space[Any]
 
+    @property
+    def replayed(self) -> int:
+        """Steps taken so far only to restore states; they are interactions like any other."""
+
     def reset(self, rows: Rows, seed: int | None = None) -> Observations:
         """The environment's own reset of some copies; float32 [len(rows), d]."""
 
@@ -66,46 +75,51 @@ class BatchedWorld(Protocol):
         """Step every copy."""
 
 
-def make_world(config: EnvironmentConfig, count: int) -> BatchedWorld:
+def make_world(config: EnvironmentConfig, count: int, propositions: Sequence[str] = ()) -> BatchedWorld:
     """Open ``count`` copies of the configured environment.
+
+    Args:
+        config: the section ``[environment]``.
+        count: N.
+        propositions: all that may be reported, by environments that do not say so themselves.
 
     Raises:
         WorldError: if the environment is unknown, refuses its options, or lacks labels or snapshots.
     """
-    module, _, name = config.id.rpartition(":")
+    spec = find_spec(config)
+    if not config.labels and spec is not None and _keeps_vector_contract(spec):
+        return VectorWorld(_open_vector(config, spec, count))
+    config = with_snapshots(config, propositions)
+    return LoopedWorld([EnvironmentCopy(config, propositions) for _ in range(count)])
+
+
+def _keeps_vector_contract(spec: Spec) -> bool:
+    if spec.vector_entry_point is None:
+        return False
+    entry_point = spec.vector_entry_point
+    made = gym.envs.registration.load_env_creator(entry_point) if isinstance(entry_point, str) else entry_point
+    return all(hasattr(made, name) for name in ("get_states", "set_states"))
+
+
+def _open_vector(config: EnvironmentConfig, spec: Spec, count: int) -> Any:
     try:
-        if module:
-            importlib.import_module(module)
-        if gym.spec(name).vector_entry_point is not None:
-            return VectorWorld(gym.make_vec(name, count, "vector_entry_point", **config.options))
-        return LoopedWorld([gym.make(name, **config.options).unwrapped for _ in range(count)])
-    except (gym.error.Error, ImportError) as error:
-        raise WorldError(f"environment {config.id!r}: {error}") from None
+        return gym.make_vec(spec.id, count, "vector_entry_point", **config.options)
     except (TypeError, ValueError) as error:
         raise WorldError(f"environment {config.id!r} refused its options {config.options}: {error}") from None
-
-
-def _require(world: object, names: Sequence[str]) -> None:
-    missing = [name for name in names if not hasattr(world, name)]
-    if missing:
-        raise WorldError(f"{type(world).__name__} lacks {', '.join(missing)}; see envs/protocol.py for the contract")
-
-
-def _vector_size(space: gym.Space[Any]) -> int:
-    if not isinstance(space, gym.spaces.Box) or len(space.shape) != 1:
-        raise WorldError(f"observation space {space} is not supported; expected a Box of one dimension")
-    return space.shape[0]
+    except (gym.error.Error, ImportError) as error:
+        raise WorldError(f"environment {config.id!r}: {error}") from None
 
 
 class VectorWorld:
     """A Gymnasium vector environment that steps its copies itself (``envs.protocol``)."""
 
+    replayed = 0
+
     def __init__(self, env: Any) -> None:
-        _require(env, ("propositions", "get_states", "set_states"))
         self._env = env
         self.count = int(env.num_envs)
         self.propositions: tuple[str, ...] = tuple(env.propositions)
-        self.observation_size = _vector_size(env.single_observation_space)
+        self.observation_size = flattener(env.single_observation_space).size
         self.action_space: gym.Space[Any] = env.single_action_space
 
     def reset(self, rows: Rows, seed: int | None = None) -> Observations:
@@ -127,52 +141,66 @@ class VectorWorld:
 
     def step(self, actions: NDArray[Any]) -> WorldStep:
         """See ``BatchedWorld.step``."""
-        observations, _, terminated, _, info = self._env.step(actions)
-        return WorldStep(observations, info["labels"], terminated)
+        observations, _, terminated, truncated, info = self._env.step(actions)
+        return WorldStep(observations, info["labels"], terminated, truncated)
 
 
 class LoopedWorld:
-    """Copies of an ordinary environment with ``get_state``, ``set_state`` and ``info["labels"]``, one by one.
+    """Copies of an ordinary environment, one by one.
 
-    A copy that has terminated is not stepped again until it is reset or restored; its last step is repeated.
+    A copy that has ended, or was cut, is not stepped again until it is reset or restored; its last step is repeated.
     """
 
-    def __init__(self, envs: Sequence[Any]) -> None:
-        _require(envs[0], ("propositions", "get_state", "set_state"))
-        self._envs = list(envs)
-        self.count = len(self._envs)
-        self.propositions: tuple[str, ...] = tuple(envs[0].propositions)
-        self.observation_size = _vector_size(envs[0].observation_space)
-        self.action_space: gym.Space[Any] = envs[0].action_space
+    def __init__(self, copies: Sequence[EnvironmentCopy]) -> None:
+        first = copies[0]
+        self._copies = list(copies)
+        self.count = len(self._copies)
+        self.propositions: tuple[str, ...] = first.propositions
+        self.observation_size = first.observation_size
+        self.action_space: gym.Space[Any] = first.action_space
+        self._dice = np.random.default_rng(0)
         self._observations = np.zeros((self.count, self.observation_size), dtype=np.float32)
         self._labels = np.zeros((self.count, len(self.propositions)), dtype=np.bool_)
         self._terminated = np.zeros(self.count, dtype=np.bool_)
+        self._truncated = np.zeros(self.count, dtype=np.bool_)
+
+    @property
+    def replayed(self) -> int:
+        """See ``BatchedWorld.replayed``."""
+        return sum(copy.replayed for copy in self._copies)
 
     def reset(self, rows: Rows, seed: int | None = None) -> Observations:
         """See ``BatchedWorld.reset``; copy ``i`` gets seed + i."""
+        if seed is not None:
+            self._dice = np.random.default_rng(seed)
         seeds = [None if seed is None else seed + int(i) for i in rows]
-        firsts = [self._envs[i].reset(seed=s)[0] for i, s in zip(rows, seeds, strict=True)]
-        return self._begun(rows, firsts)
+        return self._begun(rows, [self._copies[i].reset(s) for i, s in zip(rows, seeds, strict=True)])
 
     def restore(self, rows: Rows, states: Sequence[NDArray[Any]]) -> Observations:
-        """See ``BatchedWorld.restore``."""
-        return self._begun(rows, [self._envs[i].set_state(s) for i, s in zip(rows, states, strict=True)])
+        """See ``BatchedWorld.restore``; what follows is thrown with new dice."""
+        begun = self._begun(rows, [self._copies[i].set_state(s) for i, s in zip(rows, states, strict=True)])
+        for i in rows:
+            self._copies[i].throw_new_dice(int(self._dice.integers(2**31)))
+        return begun
 
-    def _begun(self, rows: Rows, firsts: list[Any]) -> Observations:
-        self._terminated[rows] = False
+    def _begun(self, rows: Rows, firsts: list[Observations]) -> Observations:
+        self._terminated[rows] = self._truncated[rows] = False
         self._observations[rows] = firsts
         begun: Observations = self._observations[rows]
         return begun
 
     def snapshot(self, rows: Rows) -> list[NDArray[Any]]:
         """See ``BatchedWorld.snapshot``."""
-        return [self._envs[i].get_state() for i in rows]
+        return [self._copies[i].get_state() for i in rows]
 
     def step(self, actions: NDArray[Any]) -> WorldStep:
         """See ``BatchedWorld.step``."""
-        for i in np.flatnonzero(~self._terminated):
-            observation, _, terminated, _, info = self._envs[i].step(actions[i])
-            self._observations[i] = observation
-            self._labels[i] = [name in info["labels"] for name in self.propositions]
-            self._terminated[i] = terminated
-        return WorldStep(self._observations.copy(), self._labels.copy(), self._terminated.copy())
+        for i in np.flatnonzero(~(self._terminated | self._truncated)):
+            done = self._copies[i].step(actions[i])
+            self._observations[i], self._labels[i] = done.observation, done.labels
+            self._terminated[i], self._truncated[i] = done.terminated, done.truncated
+        if not np.isfinite(self._observations).all():
+            raise WorldError("an observation holds NaN or infinity, from which nothing can be learned")
+        return WorldStep(
+            self._observations.copy(), self._labels.copy(), self._terminated.copy(), self._truncated.copy()
+        )

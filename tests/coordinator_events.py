@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,6 +15,12 @@ from t4nmtd_dist.wire.codec import Envelope
 from t4nmtd_dist.wire.messages import Claim, Granted, LearnerStats, Message, Refused, Sync, SyncReply
 
 Arrays = Mapping[str, NDArray[Any]]
+T = TypeVar("T")
+
+
+def of(kind: type[T], actions: list[Any]) -> list[T]:
+    """The actions of one kind."""
+    return [action for action in actions if isinstance(action, kind)]
 
 
 def changes(*rows: tuple[int, int, int, float]) -> dict[str, NDArray[Any]]:

@@ -9,7 +9,7 @@ from pathlib import Path
 import msgspec
 import pytest
 
-from t4nmtd_dist.wire import codec, messages, sockets
+from t4nmtd_dist.wire import codec, endpoints, messages
 
 DOCUMENT = (Path(__file__).parent.parent / "docs" / "protocol.md").read_text(encoding="utf-8")
 ROW = re.compile(r"^\| `(\w+)` \|", re.MULTILINE)
@@ -82,5 +82,5 @@ def test_dtypes_defaults_and_version_are_those_of_the_program() -> None:
     _, _, dtypes = DOCUMENT.partition("Allowed dtypes:")
     assert set(re.findall(r"`([<|]\w\d)`", dtypes.partition("There are")[0])) == codec.DTYPES
     assert f"# The wire protocol, version {messages.PROTOCOL_VERSION}\n" in DOCUMENT
-    assert f"`{sockets.DEFAULT_CONTROL}`" in DOCUMENT
-    assert f"`{sockets.DEFAULT_STATE}`" in DOCUMENT
+    assert f"`{endpoints.DEFAULT_CONTROL}`" in DOCUMENT
+    assert f"`{endpoints.DEFAULT_STATE}`" in DOCUMENT

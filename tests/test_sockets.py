@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import socket
 import threading
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -19,6 +20,7 @@ from coordinator.service import CoordinatorService
 from coordinator.state import CoordinatorState, RunSettings
 from t4nmtd_dist.errors import ConfigError, ProtocolError, RunError
 from t4nmtd_dist.wire.codec import Envelope, decode
+from t4nmtd_dist.wire.endpoints import check_endpoint
 from t4nmtd_dist.wire.messages import (
     Claim,
     DashboardState,
@@ -37,7 +39,6 @@ from t4nmtd_dist.wire.sockets import (
     Socket,
     bind,
     bound_endpoint,
-    check_endpoint,
     connect,
     new_context,
     receive,
@@ -131,9 +132,8 @@ def test_any_text_is_an_endpoint_or_a_clear_refusal(endpoint: str) -> None:
 
 
 def test_nothing_is_queued_for_a_peer_that_is_away(context: Context) -> None:
-    nobody = bind(context, zmq.ROUTER, FREE_PORT)
-    endpoint = bound_endpoint(nobody)
-    nobody.close(0)
+    with socket.create_server(("127.0.0.1", 0)) as nobody:
+        endpoint = f"tcp://127.0.0.1:{nobody.getsockname()[1]}"
     assert not send(connect(context, endpoint), Envelope(Failure(text="hello")))
 
 

@@ -9,7 +9,7 @@ from typing import Annotated
 
 import tyro
 
-from t4nmtd_dist.wire.sockets import DEFAULT_CONTROL
+from t4nmtd_dist.wire.endpoints import DEFAULT_CONTROL
 
 
 @dataclass(frozen=True)
@@ -46,7 +46,7 @@ def run(command: WorkerCommand) -> int:
     os.environ.setdefault("OMP_NUM_THREADS", "1")  # before torch is imported
     from t4nmtd_dist.errors import T4NMTDError
     from t4nmtd_dist.launch.lifeline import end_with_parent
-    from t4nmtd_dist.wire.sockets import check_endpoint
+    from t4nmtd_dist.wire.endpoints import check_endpoint
 
     if command.lifeline is not None:
         end_with_parent(command.lifeline)

@@ -9,7 +9,7 @@ from typing import Annotated, Literal
 import tyro
 
 from t4nmtd_dist.cli.options import RunOptions
-from t4nmtd_dist.wire.sockets import DEFAULT_STATE
+from t4nmtd_dist.wire.endpoints import DEFAULT_STATE
 
 
 @dataclass(frozen=True)

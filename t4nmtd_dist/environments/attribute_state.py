@@ -164,8 +164,8 @@ def _read_number(code: list[Any], _: Any) -> Any:
     return np.frombuffer(code[3], code[1])[0]
 
 
-def _read_items(codes: list[Any], current: Any, kind: type) -> list[Any]:
-    held = list(current) if isinstance(current, kind) else []
+def _read_items(codes: list[Any], current: Any, kind: type[Any]) -> list[Any]:
+    held: list[Any] = [*current] if isinstance(current, kind) else []
     held += [None] * (len(codes) - len(held))
     return [_read(code, item) for code, item in zip(codes, held, strict=False)]
 

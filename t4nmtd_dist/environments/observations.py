@@ -62,6 +62,7 @@ def _one_hot(count: int, start: int) -> Flattener:
         index = int(value) - start
         if not 0 <= index < count:
             raise WorldError(f"the environment observed {value!r}, which is not in {start}..{start + count - 1}")
-        return rows[index].copy()
+        row: Vector = rows[index].copy()
+        return row
 
     return Flattener(count, flatten)

@@ -300,7 +300,7 @@ class Replay:
         for dice, action in history:
             if dice:
                 self.throw_new_dice(int(dice))
-            observation = self._env.step(action)[0]
+            observation = self._env.step(action if self._env.action_space.shape else int(action))[0]
             self.acted(action, self._observation)
         self.replayed += len(history)
         return self._flattener.flatten(observation)

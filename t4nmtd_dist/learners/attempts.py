@@ -58,7 +58,7 @@ class Attempts:
     """N copies of the world, each always within an attempt at the sub-task.
 
     Args:
-        world: the copies; every one of their steps is counted in ``interactions``.
+        world: the copies; every one of their steps is counted in ``interactions``, replayed ones too.
         reader: letters of the DFA from the world's labels.
         tables: the sub-task.
         delta: the DFA's transition table, int32 [Q, letters].
@@ -137,7 +137,9 @@ class Attempts:
     def _restore(self, rows: Rows, starts: list[StartState]) -> None:
         if len(rows):
             states = [start.state for start in starts if start.state is not None]
+            before = self._world.replayed
             self.observations[rows] = self._world.restore(rows, states)
+            self.interactions += self._world.replayed - before
 
     def step(self, actions: NDArray[Any]) -> AttemptStep:
         """Act in every copy, move the DFA, and begin again where an attempt is over."""
@@ -151,7 +153,8 @@ class Attempts:
         reached = tables.target[q, q_next]
         terminal = tables.terminal[q_next] | world_step.terminated
         stranded = changed & ~tables.available[q_next]
-        ended = reached | terminal | stranded | (self._steps >= self._attempt_steps)
+        timed_out = world_step.truncated | (self._steps >= self._attempt_steps)
+        ended = reached | terminal | stranded | timed_out
         reward = tables.reward[q, q_next] - np.where(world_step.terminated, tables.kept_potential[q_next], 0.0)
         result = AttemptStep(reward, world_step.observations.copy(), q_next, changed, terminal, ended)
         self._note(result, reached)

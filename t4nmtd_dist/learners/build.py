@@ -32,7 +32,7 @@ def build_learner(
         WorldError: if the environment cannot be opened, or its spaces or propositions do not fit.
     """
     config = task.config
-    world = make_world(config.environment, config.ppo.worlds)
+    world = make_world(config.environment, config.ppo.worlds, config.propositions)
     if not isinstance(world.action_space, gym.spaces.Discrete):
         raise WorldError(f"PPO needs a Discrete action space; {config.environment.id} has {world.action_space}")
     tables = subtask_tables(

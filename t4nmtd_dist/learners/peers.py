@@ -40,11 +40,13 @@ class PeerValues:
 
 
 class PeerCritics(Protocol):
-    """Ask for values while a roll-out goes on, gather them when it is trained::
+    """Asked for values while a roll-out goes on, and for all answers when it is trained.
 
-    for step in rollout:
-        peers.ask(row, pid, observation, q)
-    answers = peers.gather()
+    The loop it is meant for::
+
+        for step in rollout:
+            peers.ask(row, pid, observation, q)
+        answers = peers.gather()
     """
 
     counts: InterventionCounts

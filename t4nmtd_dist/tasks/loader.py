@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import difflib
 from collections.abc import Iterable, Mapping
 from importlib.resources import files
@@ -29,10 +30,23 @@ def load_task(name: str, *, configs: Iterable[Path] = (), flags: Iterable[str] =
     Raises:
         ConfigError: for an unknown task, an unreadable file, or settings that ``task_config`` refuses.
     """
-    data: Mapping[str, Any] = read_toml(_find(name))
+    found = _find(name)
+    data: Mapping[str, Any] = read_toml(found)
     for path in configs:
         data = merge(data, read_toml(path))
-    return task_config(merge(data, settings_from_flags(flags)), source=name)
+    task = task_config(merge(data, settings_from_flags(flags)), source=name)
+    return _with_path(task, found.parent) if name.endswith(".toml") else task
+
+
+def is_bundled(task: TaskConfig) -> bool:
+    """Whether the task's environment is, with all options, that of a task that comes with the package."""
+    return task.name in task_names() and task.environment == load_task(task.name).environment
+
+
+def _with_path(task: TaskConfig, folder: Path) -> TaskConfig:
+    """A user's modules are looked for beside the task file; a relative ``path`` counts from there."""
+    path = str((folder / task.environment.path).resolve())
+    return dataclasses.replace(task, environment=dataclasses.replace(task.environment, path=path))
 
 
 def _find(name: str) -> Path:

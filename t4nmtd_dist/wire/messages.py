@@ -118,7 +118,6 @@ class SyncReply(Message, frozen=True, tag="sync_reply"):
     start_cursor: int
     q_table: list[tuple[int, str, float]]
     peers: dict[str, Peer]
-    command: Literal["go on", "stop"] = "go on"
 
 
 class Release(Message, frozen=True, tag="release"):
@@ -141,7 +140,6 @@ class EvaluationJob(Message, frozen=True, tag="evaluation_job"):
     interactions: int = 0
     q_table: list[tuple[int, str, float]] = []
     versions: dict[str, int] = {}
-    command: Literal["go on", "stop"] = "go on"
 
 
 class EvaluationReport(Message, frozen=True, tag="evaluation_report"):

@@ -8,9 +8,8 @@ import zmq
 
 from t4nmtd_dist.errors import ConfigError, ProtocolError
 from t4nmtd_dist.wire.codec import MAX_ARRAY_BYTES, Envelope, decode, encode
+from t4nmtd_dist.wire.endpoints import check_endpoint
 
-DEFAULT_CONTROL = "tcp://127.0.0.1:5570"
-DEFAULT_STATE = "tcp://127.0.0.1:5571"
 QUEUED_MESSAGES = 1000
 
 Socket = zmq.Socket[bytes]
@@ -100,20 +99,6 @@ def subscribe(context: Context, endpoint: str) -> Socket:
     socket = _prepare(context, zmq.SUB)
     socket.setsockopt(zmq.SUBSCRIBE, b"")
     return _connected(socket, endpoint)
-
-
-def check_endpoint(endpoint: str) -> None:
-    """Refuse what is not ``tcp://HOST:PORT``.
-
-    Raises:
-        ConfigError: with the form that was expected.
-    """
-    scheme, _, rest = endpoint.partition("://")
-    host, _, port = rest.rpartition(":")
-    port_fits = port == "*" or (port.isascii() and port.isdigit() and len(port) <= 5 and int(port) < 65536)
-    name = host[1:-1].replace(":", "0") if host[:1] + host[-1:] == "[]" else host
-    if scheme != "tcp" or not port_fits or not name or not name.isprintable() or set(name) & set(":[]/ "):
-        raise ConfigError(f"endpoint {endpoint!r}: expected tcp://HOST:PORT, for instance {DEFAULT_CONTROL}")
 
 
 def _on_loopback(endpoint: str) -> bool:

@@ -1,0 +1,106 @@
+"""One copy of an environment as the learners see it: vectors, labels and snapshots."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from gymnasium import spaces
+from numpy.typing import NDArray
+
+from t4nmtd_dist.config import EnvironmentConfig
+from t4nmtd_dist.environments.labels import LabelReader
+from t4nmtd_dist.environments.observations import Vector, flattener
+from t4nmtd_dist.environments.opening import open_environment
+from t4nmtd_dist.environments.snapshots import make_snapshots
+from t4nmtd_dist.errors import WorldError
+
+
+@dataclass(frozen=True)
+class CopyStep:
+    """One step: observation float32 [d], labels bool [P], and whether the episode ended or was cut."""
+
+    observation: Vector
+    labels: NDArray[np.bool_]
+    terminated: bool
+    truncated: bool
+
+
+class EnvironmentCopy:
+    """An environment with everything that a task file adds to it.
+
+    Args:
+        config: the section ``[environment]``, its ``snapshots`` chosen (see ``restoring.with_snapshots``).
+        propositions: all that may be reported. An environment that lists its own ``propositions`` and has no
+            labelling function knows better.
+        render_mode: passed on to the environment.
+
+    Raises:
+        WorldError: if the environment cannot be opened, or has a space that is not supported.
+    """
+
+    def __init__(
+        self, config: EnvironmentConfig, propositions: Sequence[str], *, render_mode: str | None = None
+    ) -> None:
+        self.env: Any = open_environment(config, render_mode=render_mode)
+        flat = flattener(self.env.observation_space)
+        self.observation_size = flat.size
+        self.action_space = checked_action_space(self.env.action_space)
+        own = None if config.labels else getattr(self.env.unwrapped, "propositions", None)
+        self._labels = LabelReader(config, propositions if own is None else own)
+        self.propositions = self._labels.propositions
+        self._flatten = flat.flatten
+        adapter = "own" if config.snapshots == "auto" else config.snapshots
+        self._snapshots = make_snapshots(
+            self.env, adapter, flat, room=config.snapshot_bytes, horizon=config.horizon
+        )
+
+    @property
+    def replayed(self) -> int:
+        """Steps taken only to restore states."""
+        return self._snapshots.replayed
+
+    def reset(self, seed: int | None) -> Vector:
+        """Begin an episode; its first observation."""
+        return self._flatten(self._snapshots.reset(seed))
+
+    def step(self, action: Any) -> CopyStep:
+        """Act once."""
+        action = self._action(action)
+        seen, _, terminated, truncated, info = self.env.step(action)
+        observation = self._flatten(seen)
+        cut = self._snapshots.acted(action, observation)
+        return CopyStep(observation, self._labels.row(seen, info), bool(terminated), bool(truncated) or cut)
+
+    def _action(self, action: Any) -> Any:
+        space = self.action_space
+        return int(action) if isinstance(space, spaces.Discrete) else np.asarray(action, space.dtype)
+
+    def get_state(self) -> NDArray[Any]:
+        """A snapshot."""
+        return self._snapshots.get()
+
+    def set_state(self, state: NDArray[Any]) -> Vector:
+        """Restore a snapshot; the observation there.
+
+        Raises:
+            WorldError: if it is no snapshot of this environment.
+        """
+        return self._snapshots.set(state)
+
+    def throw_new_dice(self, seed: int) -> None:
+        """Let the environment's own chance take another course from here."""
+        self._snapshots.throw_new_dice(seed)
+
+
+def checked_action_space(space: Any) -> Any:
+    """The space, if it is Box or Discrete from 0.
+
+    Raises:
+        WorldError: if it is another one, by name.
+    """
+    if isinstance(space, spaces.Box) or (isinstance(space, spaces.Discrete) and space.start == 0):
+        return space
+    raise WorldError(f"action space {space} is not supported; expected Box, or Discrete from 0")

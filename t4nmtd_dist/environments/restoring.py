@@ -1,0 +1,162 @@
+"""Does restoring a snapshot work? Found out by stepping, and the adapter chosen accordingly."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from t4nmtd_dist.config import EnvironmentConfig
+from t4nmtd_dist.environments.copies import CopyStep, EnvironmentCopy
+from t4nmtd_dist.environments.opening import Env, open_environment
+from t4nmtd_dist.environments.snapshots import ADAPTERS, Adapter, has_own_state, is_mujoco, keeps_contract
+from t4nmtd_dist.errors import WorldError
+
+TRIALS = 5
+WALKS = (0, 1, 4, 12, 30)  # steps before the snapshot
+STEPS_COMPARED = 12
+ROOM_UNIT = 64
+
+
+@dataclass(frozen=True)
+class Choice:
+    """The adapter that restores exactly.
+
+    Attributes:
+        adapter: its name.
+        room: bytes to set aside for a snapshot; twice the biggest that was seen.
+        failures: what was tried before, and why it did not do.
+    """
+
+    adapter: Adapter
+    room: int
+    failures: dict[Adapter, str]
+
+
+def with_snapshots(config: EnvironmentConfig, propositions: Sequence[str]) -> EnvironmentConfig:
+    """The settings with an adapter in place of ``auto``, checked unless the environment keeps our own contract."""
+    if config.snapshots == "replay" or config.snapshot_bytes:
+        return config
+    env = open_environment(config)
+    trusted = keeps_contract(env) and config.snapshots in ("auto", "own")
+    env.close()
+    if trusted:
+        return dataclasses.replace(config, snapshots="own")
+    return chosen(config, choose_snapshots(config, propositions))
+
+
+def chosen(config: EnvironmentConfig, choice: Choice) -> EnvironmentConfig:
+    """The settings with the choice written in."""
+    return dataclasses.replace(
+        config, snapshots=choice.adapter, snapshot_bytes=config.snapshot_bytes or choice.room
+    )
+
+
+def choose_snapshots(config: EnvironmentConfig, propositions: Sequence[str], *, trials: int = TRIALS) -> Choice:
+    """The first adapter that restores exactly.
+
+    Raises:
+        WorldError: if none does; the text says what each did wrong.
+    """
+    failures: dict[Adapter, str] = {}
+    wanted = _candidates(open_environment(config)) if config.snapshots == "auto" else (config.snapshots,)
+    for adapter in wanted:
+        try:
+            room = check_restoring(dataclasses.replace(config, snapshots=adapter), propositions, trials=trials)
+        except InexactError as error:
+            failures[adapter] = str(error)
+        else:
+            return Choice(adapter, room, failures)
+    told = "; ".join(f"{adapter}: {reason}" for adapter, reason in failures.items())
+    raise WorldError(
+        f"environment {config.id!r} cannot be put back into an earlier state, which sub-tasks need to hand over ({told})"
+    )
+
+
+def _candidates(env: Env) -> tuple[Adapter, ...]:
+    unfit = {"own": not has_own_state(env), "mujoco": not is_mujoco(env), "attributes": is_mujoco(env)}
+    return tuple(adapter for adapter in ADAPTERS if not unfit.get(adapter, False))
+
+
+class InexactError(WorldError):
+    """After restoring, the environment went on otherwise than before."""
+
+
+def check_restoring(config: EnvironmentConfig, propositions: Sequence[str], *, trials: int = TRIALS) -> int:
+    """Snapshots of one copy, restored into another and into itself: the same actions must give the same steps.
+
+    Args:
+        config: with an adapter.
+        propositions: all that may be reported.
+        trials: how many snapshots.
+
+    Returns:
+        Bytes to set aside for a snapshot, 0 if the adapter needs none set aside.
+
+    Raises:
+        InexactError: if something differs, or the adapter failed.
+        WorldError: if labels cannot be read.
+    """
+    first, second = EnvironmentCopy(config, propositions), EnvironmentCopy(config, propositions)
+    biggest = max(_trial(first, second, trial) for trial in range(trials))
+    if config.snapshots == "replay" or keeps_contract(first.env):
+        return 0
+    return -(-2 * biggest // ROOM_UNIT) * ROOM_UNIT
+
+
+def _trial(first: EnvironmentCopy, second: EnvironmentCopy, trial: int) -> int:
+    """One snapshot; its size in bytes."""
+    first.action_space.seed(trial)
+    seen = _walk(first, trial, WALKS[trial % len(WALKS)])
+    state = _guarded(first.get_state)
+    before = [first.action_space.sample() for _ in range(STEPS_COMPARED)]
+    expected = _course(first, before, trial)
+    _walk(second, 1000 + trial, 3)
+    for copy, where in ((second, "another copy"), (first, "the same copy")):
+        observation = _guarded(copy.set_state, state)
+        _compare("observation", observation, seen, 0, where)
+        for t, (now, then) in enumerate(zip(_course(copy, before, trial), expected, strict=False), start=1):
+            for name in ("observation", "labels", "terminated", "truncated"):
+                _compare(name, getattr(now, name), getattr(then, name), t, where)
+    return int(state.nbytes)
+
+
+def _walk(copy: EnvironmentCopy, seed: int, steps: int) -> NDArray[np.float32]:
+    """Reset and act at random, short of the episode's end; the last observation."""
+    for allowed in (steps, steps // 2, 0):
+        observation = copy.reset(seed)
+        for _ in range(allowed):
+            step = copy.step(copy.action_space.sample())
+            observation = step.observation
+            if step.terminated or step.truncated:
+                break
+        else:
+            break
+    return observation
+
+
+def _course(copy: EnvironmentCopy, actions: Sequence[Any], dice: int) -> list[CopyStep]:
+    copy.throw_new_dice(dice)
+    steps: list[CopyStep] = []
+    for action in actions:
+        steps.append(copy.step(action))
+        if steps[-1].terminated or steps[-1].truncated:
+            break
+    return steps
+
+
+def _guarded(function: Any, *arguments: Any) -> Any:
+    try:
+        return function(*arguments)
+    except Exception as error:  # whatever a user's environment may raise
+        raise InexactError(f"{type(error).__name__}: {error}") from error
+
+
+def _compare(name: str, now: Any, then: Any, t: int, where: str) -> None:
+    if not np.array_equal(now, then, equal_nan=True):
+        when = "right after restoring" if t == 0 else f"{t} steps after restoring"
+        raise InexactError(f"another {name} {when} in {where}")

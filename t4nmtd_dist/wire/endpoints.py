@@ -1,0 +1,22 @@
+"""Endpoints by default, and what an endpoint must look like; imports nothing heavy, for the command lines."""
+
+from __future__ import annotations
+
+from t4nmtd_dist.errors import ConfigError
+
+DEFAULT_CONTROL = "tcp://127.0.0.1:5570"
+DEFAULT_STATE = "tcp://127.0.0.1:5571"
+
+
+def check_endpoint(endpoint: str) -> None:
+    """Refuse what is not ``tcp://HOST:PORT``.
+
+    Raises:
+        ConfigError: with the form that was expected.
+    """
+    scheme, _, rest = endpoint.partition("://")
+    host, _, port = rest.rpartition(":")
+    port_fits = port == "*" or (port.isascii() and port.isdigit() and len(port) <= 5 and int(port) < 65536)
+    name = host[1:-1].replace(":", "0") if host[:1] + host[-1:] == "[]" else host
+    if scheme != "tcp" or not port_fits or not name or not name.isprintable() or set(name) & set(":[]/ "):
+        raise ConfigError(f"endpoint {endpoint!r}: expected tcp://HOST:PORT, for instance {DEFAULT_CONTROL}")

@@ -1,0 +1,139 @@
+"""When the coordinator has the global policy evaluated, and when a run counts as solved."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from coordinator_events import Conversation, of
+
+from coordinator.events import Finish, RecordEvaluation, Send
+from t4nmtd_dist.wire.messages import EvaluationJob, EvaluationPoll, EvaluationReport, LearnerStats, Refused
+
+
+class Evaluated(Conversation):
+    """A conversation with one learner and an evaluator."""
+
+    def __init__(self, *flags: str) -> None:
+        super().__init__("evaluation.every=100", "evaluation.in_a_row=5", *flags)
+        self.claim("p1", "w")
+        self.epoch = self.claim_evaluator("e").epoch
+        self.steps = self.weights_version = 0
+
+    def train(self, steps: int, *, fresh: bool = True) -> None:
+        self.steps += steps
+        self.weights_version += fresh
+        arrays = {"weights.actor.0.weight": np.full(1, self.weights_version, np.float32)} if fresh else {}
+        stats = LearnerStats(phase="training", interactions=self.steps)
+        self.sync("p1", "w", sequence=self.steps, version=self.weights_version, stats=stats, arrays=arrays)
+
+    def poll(self) -> EvaluationJob:
+        job = self.answer("e", EvaluationPoll(epoch=self.epoch))
+        assert isinstance(job, EvaluationJob)
+        return job
+
+    def report(self, job: int, success: float, length: float = 20.0) -> list[Any]:
+        report = EvaluationReport(
+            epoch=self.epoch,
+            job=job,
+            success_rate=success,
+            mean_length=length,
+            std_length=0.0,
+            mean_return=1.0,
+            episodes=20,
+            dfa_path=[0],
+        )
+        return self.send("e", report)
+
+    def evaluate(self, success: float, length: float = 20.0) -> list[Any]:
+        self.train(100)
+        return self.report(self.poll().job, success, length)
+
+
+def test_an_evaluation_is_due_only_after_enough_interactions_on_fresh_weights() -> None:
+    talk = Evaluated()
+    assert talk.poll().job == 0
+    talk.train(99)
+    assert talk.poll().job == 0
+    talk.train(1)
+    first = talk.poll()
+    assert (first.job, first.interactions, first.versions) == (1, 100, {"p1": 2})
+    talk.train(1000, fresh=False)
+    assert talk.poll().job == 0, "the same weights must not be evaluated twice"
+    talk.train(1)
+    assert talk.poll().job == 2
+
+
+def test_every_training_learner_must_have_fresh_weights() -> None:
+    talk = Evaluated()
+    talk.claim("g", "v")
+    stats = LearnerStats(phase="training", interactions=1)
+    talk.sync("g", "v", version=1, stats=stats, arrays={"weights.actor.0.weight": np.ones(1)})
+    talk.train(100)
+    assert talk.poll().job == 1
+    talk.train(100)
+    assert talk.poll().job == 0, "g is training and has sent nothing new"
+    talk.now += 1000.0  # g falls silent, p1 goes on
+    talk.train(100)
+    assert talk.poll().job == 2
+
+
+def test_the_weights_of_a_job_are_those_of_its_versions() -> None:
+    talk = Evaluated()
+    talk.train(100)
+    actions = talk.send("e", EvaluationPoll(epoch=talk.epoch))
+    (sent,) = of(Send, actions)
+    assert {name: array.tolist() for name, array in sent.arrays.items()} == {"p1/weights.actor.0.weight": [1.0]}
+
+
+def test_solved_after_five_perfect_evaluations_in_a_row_and_dated_at_the_first() -> None:
+    talk = Evaluated()
+    for success in (1.0, 1.0, 1.0, 1.0, 0.95):
+        assert of(Finish, talk.evaluate(success)) == []
+    for _ in range(4):
+        assert of(Finish, talk.evaluate(1.0)) == []
+    (finish,) = of(Finish, talk.evaluate(1.0))
+    assert finish.outcome == "solved"
+    assert talk.state.evaluations.solved_at == 600
+    assert talk.state.evaluations.converged
+    assert talk.state.evaluations.last is not None
+    assert talk.state.evaluations.last.interactions == 1000
+
+
+def test_solved_with_lengths_that_spread_is_not_converged() -> None:
+    talk = Evaluated()
+    for length in (10.0, 20.0, 30.0, 40.0, 50.0):
+        talk.evaluate(1.0, length)
+    assert talk.state.evaluations.solved
+    assert not talk.state.evaluations.converged
+
+
+def test_a_success_rate_that_is_no_number_is_no_success() -> None:
+    talk = Evaluated()
+    for _ in range(5):
+        talk.evaluate(float("nan"))
+    assert not talk.state.evaluations.solved
+
+
+def test_the_report_of_a_stale_job_is_ignored() -> None:
+    talk = Evaluated()
+    talk.train(100)
+    old = talk.poll().job
+    talk.train(100)
+    new = talk.poll().job
+    assert talk.report(old, 1.0) == []
+    assert talk.state.evaluations.history == []
+    assert len(of(RecordEvaluation, talk.report(new, 1.0))) == 1
+    assert talk.report(new, 1.0) == [], "a repeated report counts once"
+
+
+def test_an_evaluator_taken_over_is_told_so_and_its_report_ignored() -> None:
+    talk = Evaluated()
+    talk.train(100)
+    job = talk.poll().job
+    talk.now += 1000.0
+    talk.claim_evaluator("e2")
+    assert talk.report(job, 1.0) == []
+    refused = talk.answer("e", EvaluationPoll(epoch=talk.epoch))
+    assert isinstance(refused, Refused)
+    assert not refused.final
