@@ -60,13 +60,17 @@ def _serve(command: CoordinatorCommand) -> int:
     from coordinator.state import CoordinatorState, RunSettings
     from coordinator.viewer import BackgroundViewer
     from t4nmtd_dist.compiled import compile_task
+    from t4nmtd_dist.environments.preparation import prepared, slowness
     from t4nmtd_dist.errors import ConfigError
     from t4nmtd_dist.wire.sockets import new_context
 
     if not command.lease > 0:
         raise ConfigError(f"--lease {command.lease}: expected seconds above 0")
     config = command.load()
-    task = compile_task(config, translator=command.translator, seed=command.seed)
+    task = prepared(compile_task(config, translator=command.translator, seed=command.seed))
+    warning = slowness(task.config.environment)
+    if warning is not None:
+        print(f"warning: {warning}", file=sys.stderr)
     directory = command.directory(config.name)
     settings = RunSettings(command.seed, config.max_interactions, os.urandom(8).hex(), str(directory), command.lease)
     state = CoordinatorState(task, settings)

@@ -25,6 +25,10 @@ class ProtocolError(T4NMTDError):
     """A message that does not follow docs/protocol.md."""
 
 
+class KeyFileError(T4NMTDError):
+    """A key file or folder that is missing, damaged, readable by others, or in the way."""
+
+
 class LeaseError(T4NMTDError):
     """A claim on a sub-task that the coordinator refused."""
 

@@ -52,9 +52,7 @@ class Evaluator:
     """
 
     def __init__(self, policy: GlobalPolicy, episodes: int, *, seed: int) -> None:
-        self._world: BatchedWorld = make_world(
-            policy.config.environment, episodes, policy.config.propositions
-        )
+        self._world: BatchedWorld = make_world(policy.config.environment, episodes, policy.config.propositions)
         self._reader = LetterReader(policy.dfa, self._world.propositions)
         self._horizon = policy.config.environment.horizon
         self._rng = np.random.default_rng([seed, 3])

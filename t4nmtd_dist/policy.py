@@ -100,21 +100,33 @@ class GlobalPolicy:
         The labels of the first observation after ``reset`` are not read: a trace begins with the first step.
 
         Args:
-            observation: float [d], as the environment gives it.
+            observation: numbers, as the environment gives them: of a Box of any shape. Observations that are Discrete
+                or a Dict go through ``environments.observations.flattener`` first.
             labels: names of the true propositions.
 
         Raises:
-            PolicyError: if the DFA is in a state for which nothing was learned.
+            PolicyError: if the DFA is in a state for which nothing was learned, or the observation is too long or
+                too short.
         """
         if not self._first:
             self._q = self.dfa.step(self._q, labels)
         self._first = False
-        row = np.asarray(observation, np.float32)[None]
+        row = self._row(observation)
         action = int(self.actions(row, np.array([self._q], np.int32))[0])
         if action < 0:
             kind = "accepting" if self._q in self.dfa.accepting else "one for which nothing was learned"
             raise PolicyError(f"no action at DFA state {self._q}: it is {kind}; call reset() to begin an episode")
         return action
+
+    def _row(self, observation: NDArray[Any]) -> Observations:
+        row = np.asarray(observation, np.float32).reshape(1, -1)
+        sizes = {int(next(actor.parameters()).shape[1]) - self.dfa.states for actor in self._actors.values()}
+        if sizes and row.shape[1] not in sizes:
+            raise PolicyError(
+                f"an observation of {row.shape[1]} numbers, where the policy learned from {sizes.pop()}; "
+                "flatten a Discrete or Dict observation by t4nmtd_dist.environments.observations.flattener"
+            )
+        return row
 
 
 def _actor(hidden: tuple[int, ...], weights: Mapping[str, NDArray[Any]]) -> nn.Sequential:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import threading
 import time
 from collections.abc import Iterator
 from typing import Any
@@ -17,7 +18,17 @@ from t4nmtd_dist.learners.ppo import PPOLearner
 from t4nmtd_dist.wire.codec import Envelope
 from t4nmtd_dist.wire.critic_client import DEADLINE_S, QueryPeers
 from t4nmtd_dist.wire.messages import Failure, Message, Peer, Release, ValueReply, ValueRequest
-from t4nmtd_dist.wire.sockets import Context, bind, bound_endpoint, connect, new_context, receive, send
+from t4nmtd_dist.wire.sockets import (
+    Context,
+    Socket,
+    bind,
+    bound_endpoint,
+    connect,
+    new_context,
+    receive,
+    receive_from,
+    send,
+)
 from workers.critic_service import CriticService
 
 WAIT_S = 10.0
@@ -119,6 +130,44 @@ def test_a_silent_peer_is_not_waited_for_again_and_again(context: Context, peers
         peers.ask(0, "g", np.zeros(3, np.float32), 0)
         peers.gather()
     assert time.monotonic() - began < 50 * DEADLINE_S / 2
+
+
+def test_a_peer_that_answers_again_after_a_silence_is_waited_for_again(context: Context, peers: QueryPeers) -> None:
+    """Few rows are asked for only when they are gathered, so without a wait their answers would be late for ever."""
+    router = bind(context, zmq.ROUTER, "tcp://127.0.0.1:*")
+    peers.set_peers({"g": at(bound_endpoint(router))})
+    deadline = time.monotonic() + WAIT_S
+    while not router.poll(10):
+        assert time.monotonic() < deadline
+        peers.ask(0, "g", np.zeros(3, np.float32), 0)
+        peers.gather()
+    for _ in range(4):
+        peers.ask(0, "g", np.zeros(3, np.float32), 0)
+        peers.gather()
+    over = threading.Event()
+    helper = threading.Thread(target=answer_all, args=(router, over), daemon=True)
+    helper.start()
+    found = 0
+    try:
+        while not found:
+            assert time.monotonic() < deadline, "the peer answers, but nobody waits for it"
+            peers.ask(0, "g", np.zeros(3, np.float32), 0)
+            found = len(peers.gather().rows)
+            over.wait(0.05)  # a roll-out takes its time
+    finally:
+        over.set()
+        helper.join(WAIT_S)
+
+
+def answer_all(router: Socket, over: threading.Event) -> None:
+    """Answer every request with a zero, older ones first and each after a moment's work, until told to stop."""
+    while not over.wait(0.01):
+        if router.poll(20):
+            received = receive_from(router)
+            assert received is not None
+            peer, envelope = received
+            assert isinstance(envelope, Envelope)
+            send(router, Envelope(ValueReply(version=0), {"value": np.zeros(1, np.float32)}, id=envelope.id), peer=peer)
 
 
 def test_late_and_malformed_answers_change_nothing(context: Context, peers: QueryPeers) -> None:

@@ -58,9 +58,9 @@ def context() -> Iterator[Context]:
     made.destroy(linger=0)
 
 
-def answer(socket: Socket) -> Message:
+def answer(of: Socket) -> Message:
     """The next message, within the deadline."""
-    envelope = receive(socket, DEADLINE_S)
+    envelope = receive(of, DEADLINE_S)
     assert envelope is not None, "no answer within the deadline"
     return envelope.message
 

@@ -102,6 +102,52 @@ class Inspect:
 
 
 @dataclass(frozen=True)
+class Check:
+    """Try a task's environment with random actions: labels, spaces, snapshots, automaton (exit code 2: unusable)."""
+
+    task: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="TASK")]
+    """Path of a task file, or name of a task."""
+    steps: int = 2000
+    """How many random steps."""
+    seed: int = 0
+    """Seed of resets and actions."""
+    as_json: Annotated[bool, tyro.conf.arg(name="json")] = False
+    """Print JSON for machines."""
+    set: Annotated[list[str], tyro.conf.UseAppendAction, tyro.conf.arg(metavar="KEY=VALUE")] = field(
+        default_factory=list
+    )
+    """One setting, such as environment.snapshots=replay; may be repeated."""
+
+    def run(self) -> int:
+        """Check."""
+        from t4nmtd_dist.cli.check import check
+
+        return check(self.task, steps=self.steps, seed=self.seed, flags=self.set, as_json=self.as_json)
+
+
+@dataclass(frozen=True)
+class Record:
+    """Film episodes of a run's policy, with labels, DFA state and active sub-task in the picture."""
+
+    run_or_policy: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="RUN")]
+    """A run directory or a folder with an exported policy."""
+    out: Path = Path("video.mp4")
+    """The film: .mp4 or .gif."""
+    episodes: int = 1
+    """How many episodes, one after the other."""
+    seed: int = 1_000_000
+    """Seed of the environment's resets."""
+    fps: int | None = None
+    """Frames a second; by default what the environment says, else 10."""
+
+    def run(self) -> int:
+        """Record."""
+        from t4nmtd_dist.cli.record import record
+
+        return record(self.run_or_policy, self.out, episodes=self.episodes, seed=self.seed, fps=self.fps)
+
+
+@dataclass(frozen=True)
 class Tasks:
     """List the tasks that come with the package."""
 
@@ -111,6 +157,7 @@ class Tasks:
 
         for name in task_names():
             print(f"{name}  {load_task(name).title}")
+        print("\nA task of your own: a TOML file like theirs; `t4nmtd check FILE` tries it out (docs/own-task.md).")
         return 0
 
 
@@ -138,4 +185,4 @@ class Dashboard:
         return follow(self.connect, self.wait)
 
 
-Command = Train | Evaluate | Inspect | Tasks | Dashboard
+Command = Train | Evaluate | Record | Inspect | Check | Tasks | Dashboard

@@ -4,11 +4,14 @@ from __future__ import annotations
 
 import os
 import signal
+import sys
 import time
 from pathlib import Path
 
 from t4nmtd_dist.cli.options import RunOptions
 from t4nmtd_dist.compiled import CompiledTask, compile_task
+from t4nmtd_dist.config import TaskConfig
+from t4nmtd_dist.environments.preparation import prepared, slowness
 from t4nmtd_dist.errors import RunError
 from t4nmtd_dist.launch.local import LocalProcesses
 from t4nmtd_dist.runs.directory import RunDirectory, read_summary
@@ -37,7 +40,7 @@ def train(options: RunOptions, *, dashboard: bool) -> int:
         RunError: if the coordinator or a worker cannot go on.
     """
     config = options.load()
-    task = compile_task(config, translator=options.translator, seed=options.seed)
+    task = _ready(options, config)
     directory = RunDirectory(options.directory(config.name), restart=options.restart).path
     interrupted = _Interrupted()
     processes = LocalProcesses(directory)
@@ -58,6 +61,15 @@ def train(options: RunOptions, *, dashboard: bool) -> int:
         raise RunError(processes.coordinator_failure())
     _report(directory)
     return code
+
+
+def _ready(options: RunOptions, config: TaskConfig) -> CompiledTask:
+    """The task compiled and its environment checked, before anything is started or written."""
+    task = prepared(compile_task(config, translator=options.translator, seed=options.seed))
+    warning = slowness(task.config.environment)
+    if warning is not None:
+        print(f"t4nmtd: warning: {warning}", file=sys.stderr)
+    return task
 
 
 def _coordinator_arguments(options: RunOptions) -> list[str]:
@@ -103,7 +115,7 @@ def train_serial(options: RunOptions) -> int:
     from t4nmtd_dist.launch.serial import SerialRun
 
     config = options.load()
-    task: CompiledTask = compile_task(config, translator=options.translator, seed=options.seed)
+    task = _ready(options, config)
     run_dir = RunDirectory(options.directory(config.name), restart=options.restart)
     settings = RunSettings(options.seed, config.max_interactions, "serial", str(run_dir.path), lease_s=float("inf"))
     interrupted = _Interrupted()

@@ -53,9 +53,7 @@ class EnvironmentCopy:
         self.propositions = self._labels.propositions
         self._flatten = flat.flatten
         adapter = "own" if config.snapshots == "auto" else config.snapshots
-        self._snapshots = make_snapshots(
-            self.env, adapter, flat, room=config.snapshot_bytes, horizon=config.horizon
-        )
+        self._snapshots = make_snapshots(self.env, adapter, flat, room=config.snapshot_bytes, horizon=config.horizon)
 
     @property
     def replayed(self) -> int:

@@ -51,9 +51,7 @@ def with_snapshots(config: EnvironmentConfig, propositions: Sequence[str]) -> En
 
 def chosen(config: EnvironmentConfig, choice: Choice) -> EnvironmentConfig:
     """The settings with the choice written in."""
-    return dataclasses.replace(
-        config, snapshots=choice.adapter, snapshot_bytes=config.snapshot_bytes or choice.room
-    )
+    return dataclasses.replace(config, snapshots=choice.adapter, snapshot_bytes=config.snapshot_bytes or choice.room)
 
 
 def choose_snapshots(config: EnvironmentConfig, propositions: Sequence[str], *, trials: int = TRIALS) -> Choice:
@@ -73,7 +71,7 @@ def choose_snapshots(config: EnvironmentConfig, propositions: Sequence[str], *, 
             return Choice(adapter, room, failures)
     told = "; ".join(f"{adapter}: {reason}" for adapter, reason in failures.items())
     raise WorldError(
-        f"environment {config.id!r} cannot be put back into an earlier state, which sub-tasks need to hand over ({told})"
+        f"environment {config.id!r} cannot be put back into an earlier state, as sub-tasks need to hand over ({told})"
     )
 
 

@@ -89,6 +89,8 @@ class Attempts:
         self._steps = np.zeros(world.count, dtype=np.int32)
         self._steps_in_q = np.zeros(world.count, dtype=np.int32)
         self._hand_over_all = hand_over_all
+        self._seeds = rng.spawn(1)[0]
+        self._seeded = np.zeros(world.count, dtype=np.bool_)
         self._begun = False
         self.progress = Progress()
         self.interactions = 0
@@ -130,9 +132,12 @@ class Attempts:
         return True
 
     def _reset(self, rows: Rows) -> None:
-        if len(rows):
-            seed = None if self._begun else int(self._rng.integers(2**31))
-            self.observations[rows] = self._world.reset(rows, seed)
+        """The environment's own reset; a copy's first one seeds its random generator."""
+        for part, seeds in ((rows[~self._seeded[rows]], True), (rows[self._seeded[rows]], False)):
+            if len(part):
+                seed = int(self._seeds.integers(2**31)) if seeds else None
+                self.observations[part] = self._world.reset(part, seed)
+                self._seeded[part] = True
 
     def _restore(self, rows: Rows, starts: list[StartState]) -> None:
         if len(rows):
@@ -169,9 +174,10 @@ class Attempts:
         told = step.changed | step.ended
         if not told.any():
             return
+        counts = step.changed & ~(step.terminal & ~self._tables.terminal[step.q_next])  # no way on: no progress
         for row in np.flatnonzero(told):
-            q_next = int(step.q_next[row]) if step.changed[row] else NO_TARGET
-            reward = float(step.reward[row]) if step.changed[row] else 0.0
+            q_next = int(step.q_next[row]) if counts[row] else NO_TARGET
+            reward = float(step.reward[row]) if counts[row] else 0.0
             self.progress.changes.append((int(self.q[row]), q_next, int(self._steps_in_q[row]), reward))
         for row in np.flatnonzero(step.ended):
             self._recent.append((bool(reached[row]), int(self._steps[row])))

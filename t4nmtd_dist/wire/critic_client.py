@@ -114,9 +114,9 @@ class QueryPeers:
         return PeerValues(np.array(rows, np.int64), np.concatenate([np.empty(0, np.float32), *values]))
 
     def _drain(self, line: _Line, deadline: float) -> None:
-        wait = line.misses < MISSES_UNTIL_NO_WAIT
         while True:
-            patience = max(0.0, deadline - time.monotonic()) if wait and line.in_flight else 0.0
+            wait = line.in_flight and line.misses < MISSES_UNTIL_NO_WAIT
+            patience = max(0.0, deadline - time.monotonic()) if wait else 0.0
             if not line.socket.poll(int(patience * 1000)):
                 return
             try:
@@ -129,6 +129,7 @@ class QueryPeers:
         rows = line.in_flight.pop(envelope.id, None)
         if rows is None:
             self.counts.late += 1
+            line.misses = min(line.misses, MISSES_UNTIL_NO_WAIT - 1)  # it answers again: wait for it once more
             return
         values = envelope.arrays.get("value")
         if not isinstance(reply, ValueReply) or values is None or values.shape != (len(rows),):

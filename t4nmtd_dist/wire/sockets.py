@@ -9,8 +9,11 @@ import zmq
 from t4nmtd_dist.errors import ConfigError, ProtocolError
 from t4nmtd_dist.wire.codec import MAX_ARRAY_BYTES, Envelope, decode, encode
 from t4nmtd_dist.wire.endpoints import check_endpoint
+from t4nmtd_dist.wire.keys import ClientKeys, KeyPair
 
 QUEUED_MESSAGES = 1000
+ENCRYPTION_BYTES = 64  # what CURVE adds to a frame, generously
+HANDSHAKE_MS = 10_000
 
 Socket = zmq.Socket[bytes]
 Context = zmq.Context[Socket]
@@ -21,34 +24,47 @@ def new_context() -> Context:
     return zmq.Context()
 
 
-def _prepare(context: Context, kind: int) -> Socket:
+def _prepare(context: Context, kind: int, frame_bytes: int = MAX_ARRAY_BYTES) -> Socket:
     socket = context.socket(kind)
     socket.setsockopt(zmq.LINGER, 500)
     socket.setsockopt(zmq.SNDHWM, QUEUED_MESSAGES)
     socket.setsockopt(zmq.RCVHWM, QUEUED_MESSAGES)
-    socket.setsockopt(zmq.MAXMSGSIZE, MAX_ARRAY_BYTES)
+    socket.setsockopt(zmq.MAXMSGSIZE, frame_bytes + ENCRYPTION_BYTES)
+    socket.setsockopt(zmq.HANDSHAKE_IVL, HANDSHAKE_MS)
     return socket
 
 
-def bind(context: Context, kind: int, endpoint: str, *, insecure: bool = False) -> Socket:
+def bind(
+    context: Context,
+    kind: int,
+    endpoint: str,
+    *,
+    insecure: bool = False,
+    own: KeyPair | None = None,
+    frame_bytes: int = MAX_ARRAY_BYTES,
+) -> Socket:
     """A bound ROUTER or XPUB socket.
 
     Args:
         context: the process's context.
         kind: ``zmq.ROUTER`` or ``zmq.XPUB``.
         endpoint: ``tcp://ADDRESS:PORT``; port ``*`` takes any free one.
-        insecure: allow an address that other machines can reach.
+        insecure: allow an address that other machines can reach without keys.
+        own: the pair by which clients know this socket; an ``Authenticator`` of the context decides who gets in.
+        frame_bytes: the largest frame taken.
 
     Raises:
-        ConfigError: if the port is in use, the endpoint is malformed, or it is not on loopback.
+        ConfigError: if the port is in use, the endpoint is malformed, or it is not on loopback and has no keys.
     """
     check_endpoint(endpoint)
-    if not insecure and not _on_loopback(endpoint):
+    if not insecure and own is None and not on_loopback(endpoint):
         raise ConfigError(
-            f"{endpoint} can be reached from other machines; "
-            "bind to 127.0.0.1, or pass --insecure if the network is trusted"
+            f"{endpoint} can be reached from other machines; pass --keys DIR (`t4nmtd keys new DIR` makes them), "
+            "bind to 127.0.0.1, or pass --insecure if all of the network is trusted"
         )
-    socket = _prepare(context, kind)
+    socket = _prepare(context, kind, frame_bytes)
+    if own is not None:
+        _serve_keys(socket, own)
     if kind == zmq.XPUB:
         socket.setsockopt(zmq.XPUB_VERBOSE, 1)
     try:
@@ -61,6 +77,20 @@ def bind(context: Context, kind: int, endpoint: str, *, insecure: bool = False) 
     return socket
 
 
+def _serve_keys(socket: Socket, own: KeyPair) -> None:
+    socket.setsockopt(zmq.CURVE_SERVER, 1)
+    socket.setsockopt(zmq.CURVE_PUBLICKEY, own.public.encode())
+    socket.setsockopt(zmq.CURVE_SECRETKEY, own.secret.encode())
+    socket.setsockopt(zmq.ZAP_DOMAIN, b"t4nmtd")
+    socket.setsockopt(zmq.ZAP_ENFORCE_DOMAIN, 1)  # without an authenticator nobody gets in, instead of everybody
+
+
+def _present_keys(socket: Socket, keys: ClientKeys) -> None:
+    socket.setsockopt(zmq.CURVE_SERVERKEY, keys.server.encode())
+    socket.setsockopt(zmq.CURVE_PUBLICKEY, keys.own.public.encode())
+    socket.setsockopt(zmq.CURVE_SECRETKEY, keys.own.secret.encode())
+
+
 def bound_endpoint(socket: Socket) -> str:
     """Where a socket really listens (its port is known even if ``*`` was asked for)."""
     endpoint = socket.getsockopt(zmq.LAST_ENDPOINT)
@@ -68,8 +98,16 @@ def bound_endpoint(socket: Socket) -> str:
     return endpoint.decode()
 
 
-def connect(context: Context, endpoint: str) -> Socket:
+def connect(
+    context: Context, endpoint: str, keys: ClientKeys | None = None, *, handshake_ms: int = HANDSHAKE_MS
+) -> Socket:
     """A connected DEALER that queues nothing while its peer is away.
+
+    Args:
+        context: the process's context.
+        endpoint: ``tcp://HOST:PORT``.
+        keys: what to prove oneself by, and the key that the other side must have.
+        handshake_ms: how long to wait for an answer to the handshake before trying again.
 
     Raises:
         ConfigError: if the endpoint is malformed or cannot be connected to.
@@ -77,6 +115,9 @@ def connect(context: Context, endpoint: str) -> Socket:
     check_endpoint(endpoint)
     socket = _prepare(context, zmq.DEALER)
     socket.setsockopt(zmq.IMMEDIATE, 1)
+    socket.setsockopt(zmq.HANDSHAKE_IVL, handshake_ms)
+    if keys is not None:
+        _present_keys(socket, keys)
     return _connected(socket, endpoint)
 
 
@@ -89,8 +130,8 @@ def _connected(socket: Socket, endpoint: str) -> Socket:
     return socket
 
 
-def subscribe(context: Context, endpoint: str) -> Socket:
-    """A SUB socket for everything that an XPUB publishes.
+def subscribe(context: Context, endpoint: str, keys: ClientKeys | None = None) -> Socket:
+    """A SUB socket for everything that an XPUB publishes; ``keys`` as for ``connect``.
 
     Raises:
         ConfigError: if the endpoint is malformed or cannot be connected to.
@@ -98,10 +139,13 @@ def subscribe(context: Context, endpoint: str) -> Socket:
     check_endpoint(endpoint)
     socket = _prepare(context, zmq.SUB)
     socket.setsockopt(zmq.SUBSCRIBE, b"")
+    if keys is not None:
+        _present_keys(socket, keys)
     return _connected(socket, endpoint)
 
 
-def _on_loopback(endpoint: str) -> bool:
+def on_loopback(endpoint: str) -> bool:
+    """Whether only this machine can reach an endpoint."""
     host = endpoint.partition("://")[2].rpartition(":")[0].strip("[]")
     if host == "localhost":
         return True

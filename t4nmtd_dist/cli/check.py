@@ -1,0 +1,109 @@
+"""``t4nmtd check``: does a task's environment do what training will ask of it?"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Sequence
+from typing import Any
+
+from rich import box
+from rich.console import Console
+from rich.table import Table
+from rich.text import Text
+
+from t4nmtd_dist.compiled import CompiledTask, compile_task
+from t4nmtd_dist.environments.survey import Survey, survey
+from t4nmtd_dist.errors import ConfigError
+from t4nmtd_dist.tasks import load_task
+
+USABLE, UNUSABLE = 0, 2
+
+
+def check(task: str, *, steps: int, seed: int, flags: Sequence[str], as_json: bool) -> int:
+    """Run the environment for a while and report; the exit code: 0 usable, 2 not.
+
+    Raises:
+        T4NMTDError: if the task or its environment cannot even be opened, stepped or labelled.
+    """
+    if steps < 1:
+        raise ConfigError(f"--steps {steps}: expected at least one")
+    compiled = compile_task(load_task(task, flags=flags))
+    found = survey(compiled, steps=steps, seed=seed)
+    if as_json:
+        print(json.dumps(findings(compiled, found), indent=1))
+    else:
+        _print(Console(), compiled, found)
+    return UNUSABLE if found.problems else USABLE
+
+
+def findings(task: CompiledTask, found: Survey) -> dict[str, Any]:
+    """All that ``check`` shows, ready for JSON."""
+    return {
+        "task": task.config.name,
+        "usable": not found.problems,
+        "problems": found.problems,
+        "warnings": found.warnings,
+        "environment": found.environment,
+        "observation_space": found.observation_space,
+        "observation_size": found.observation_size,
+        "action_space": found.action_space,
+        "snapshots": {
+            "adapter": found.snapshots.adapter,
+            "bytes": found.snapshots.room,
+            "inexact": dict(found.snapshots.failures),
+        },
+        "automaton": {"states": task.dfa.states, "transitions": len(task.dfa.edges)},
+        "subtasks": {pid: len(transitions) for pid, transitions in task.decomposition.subtasks.items()},
+        "steps": found.steps,
+        "steps_per_s": round(found.steps_per_s, 1),
+        "episodes": found.episodes,
+        "endings": dict(found.endings),
+        "labels": {name: found.true_steps[name] / found.steps for name in found.propositions},
+        "never_true": found.never_true,
+        "exclusive_violations": [{"together": names, "steps": n} for names, n in found.together.items()],
+    }
+
+
+def _print(console: Console, task: CompiledTask, found: Survey) -> None:
+    console.print(Text(f"{task.config.name}: {task.config.title}".removesuffix(": "), style="bold"))
+    console.print(_facts(task, found))
+    console.print(_labels(task, found))
+    for text in found.warnings:
+        console.print(Text.assemble(("warning: ", "yellow"), text))
+    for text in found.problems:
+        console.print(Text.assemble(("unusable: ", "bold red"), text))
+    if not found.problems:
+        console.print(Text("usable: nothing stands against training", style="green"))
+
+
+def _facts(task: CompiledTask, found: Survey) -> Table:
+    choice = found.snapshots
+    endings = ", ".join(f"{name} {count}" for name, count in sorted(found.endings.items())) or "none yet"
+    play = f"{found.steps} steps at {found.steps_per_s:,.0f} a second, {found.episodes} episodes"
+    subtasks = ", ".join(f"{pid} ({len(taus)})" for pid, taus in task.decomposition.subtasks.items())
+    rows = {
+        "environment": found.environment,
+        "observations": f"{found.observation_space}: {found.observation_size} numbers",
+        "actions": found.action_space,
+        "snapshots": f"restore exactly by {choice.adapter!r}" + (f", {choice.room} bytes" if choice.room else ""),
+        **{f"  not by {adapter!r}": reason for adapter, reason in choice.failures.items()},
+        "automaton": f"{task.dfa.states} states, {len(task.dfa.edges)} transitions",
+        "sub-tasks": f"{subtasks} (transitions of each)",
+        "random play": f"{play}: {endings}",
+    }
+    table = Table(box=None, show_header=False, pad_edge=False)
+    table.add_column(style="cyan", no_wrap=True)
+    table.add_column()
+    for name, value in rows.items():
+        table.add_row(name, Text(value))
+    return table
+
+
+def _labels(task: CompiledTask, found: Survey) -> Table:
+    table = Table("proposition", "in the formula", "held on", "of steps", box=box.SIMPLE_HEAD)
+    for name in found.propositions:
+        times = found.true_steps[name]
+        style = "" if times else "yellow"
+        used = "yes" if name in task.dfa.propositions else "no"
+        table.add_row(Text(name), used, str(times), f"{times / found.steps:.2%}", style=style)
+    return table

@@ -1,0 +1,153 @@
+"""Snapshots of an environment's attributes, with what it keeps elsewhere beside them."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import gymnasium as gym
+import msgpack
+import numpy as np
+from numpy.typing import NDArray
+
+from t4nmtd_dist.environments.attribute_state import CannotRestoreError, pack, restored
+from t4nmtd_dist.environments.observations import Flattener, Vector
+from t4nmtd_dist.environments.packing import padded, throw_new_dice, unpadded
+from t4nmtd_dist.errors import WorldError
+
+_DICE = ("_np_random", "_np_random_seed")
+_OWN, _MUJOCO = "own", "mujoco"
+
+
+def own_layer(env: Any) -> Any:
+    """The outermost of an environment and what it wraps that has ``get_state`` and ``set_state``; None if none."""
+    while True:
+        if callable(getattr(env, "get_state", None)) and callable(getattr(env, "set_state", None)):
+            return env
+        if not isinstance(env, gym.Wrapper):
+            return None
+        env = env.env
+
+
+class AttributeState:
+    """Attributes of the environment and of its wrappers, written down as bytes.
+
+    A snapshot holds the observation and those attributes that differ from a fresh environment after ``reset(seed=0)``:
+    tables that never change cost nothing. What the environment keeps elsewhere comes beside them: the array of its
+    own ``get_state`` (then only the wrappers around it are looked into), or MuJoCo's integration state.
+
+    Args:
+        env: the environment.
+        adapter: "own", "mujoco" or "attributes".
+        flattener: of its observations.
+        room: bytes of one snapshot; 0 for as many as it happens to need.
+    """
+
+    replayed = 0
+
+    def __init__(self, env: Any, adapter: str, flattener: Flattener, room: int) -> None:
+        self._env, self._flattener, self._room = env, flattener, room
+        self._own = own_layer(env) if adapter == "own" else None
+        self._mujoco = _MujocoState(env.unwrapped) if adapter == "mujoco" else None
+        self._layers = self._layers_outside(self._own)
+        self._observation = self._flattener.flatten(env.reset(seed=0)[0])
+        self._fresh = self._written()
+
+    def _layers_outside(self, stop: Any) -> list[Any]:
+        layers, layer = [], self._env
+        while layer is not stop:
+            layers.append(layer)
+            if not isinstance(layer, gym.Wrapper):
+                break
+            layer = layer.env
+        return layers
+
+    def reset(self, seed: int | None) -> Any:
+        """See ``Snapshots.reset``."""
+        observation = self._env.reset(seed=seed)[0]
+        self._observation = self._flattener.flatten(observation)
+        return observation
+
+    def acted(self, action: Any, observation: Vector) -> bool:
+        """See ``Snapshots.acted``."""
+        self._observation = observation
+        return False
+
+    def get(self) -> NDArray[np.uint8]:
+        """See ``Snapshots.get``."""
+        written = self._written()
+        changed = {key: code for key, code in written.items() if self._fresh.get(key) != code}
+        gone = [key for key in self._fresh if key not in written]
+        data: bytes = msgpack.packb([self._observation.tobytes(), changed, gone])
+        return padded(data, self._room)
+
+    def set(self, state: NDArray[Any]) -> Vector:
+        """See ``Snapshots.set``."""
+        try:
+            observation, changed, gone = msgpack.unpackb(unpadded(state), strict_map_key=False)
+            wanted = {key: code for key, code in {**self._fresh, **changed}.items() if key not in gone}
+            self._observation = np.frombuffer(observation, np.float32).reshape(self._flattener.size)
+            self._restore(wanted)
+        except CannotRestoreError:
+            raise
+        except (ValueError, TypeError, KeyError, IndexError, AttributeError) as error:
+            raise WorldError(f"no snapshot of {self._env}: {type(error).__name__}: {error}") from None
+        return self._observation
+
+    def _attributes(self) -> dict[str, tuple[dict[str, Any], str]]:
+        """Every attribute by key, as the dictionary that holds it and its name there."""
+        return {
+            f"{depth}.{name}": (vars(layer), name)
+            for depth, layer in enumerate(self._layers)
+            for name in vars(layer)
+            if name not in _DICE and not (name == "env" and isinstance(layer, gym.Wrapper))
+        }
+
+    def _written(self) -> dict[str, bytes]:
+        left = frozenset(map(id, [*self._layers, self._own, getattr(self._env.unwrapped, "_np_random", None)]))
+        found = {key: pack(held[name], leave=left) for key, (held, name) in self._attributes().items()}
+        if self._own is not None:
+            found[_OWN] = pack(self._own.get_state())
+        if self._mujoco is not None:
+            found[_MUJOCO] = self._mujoco.get()
+        return found
+
+    def _restore(self, wanted: dict[str, bytes]) -> None:
+        if self._own is not None:
+            self._own.set_state(restored(wanted[_OWN], None))
+        attributes = self._attributes()
+        for key in [key for key in attributes if key not in wanted]:
+            held, name = attributes[key]
+            del held[name]
+        for key, code in wanted.items():
+            if key not in (_OWN, _MUJOCO):
+                depth, _, name = key.partition(".")
+                held = vars(self._layers[int(depth)])
+                held[name] = restored(code, held.get(name))
+        if self._mujoco is not None:
+            self._mujoco.set(wanted[_MUJOCO])
+
+    def throw_new_dice(self, seed: int) -> None:
+        """See ``Snapshots.throw_new_dice``."""
+        throw_new_dice(self._env, seed)
+
+
+class _MujocoState:
+    """MuJoCo's integration state: positions, velocities, controls, forces, and the solver's warm start."""
+
+    def __init__(self, env: Any) -> None:
+        import mujoco
+
+        self._mujoco, self._env = mujoco, env
+        self._kind = mujoco.mjtState.mjSTATE_INTEGRATION
+
+    def get(self) -> bytes:
+        state = np.empty(self._mujoco.mj_stateSize(self._env.model, self._kind))
+        self._mujoco.mj_getState(self._env.model, self._env.data, state, self._kind)
+        return state.tobytes()
+
+    def set(self, data: bytes) -> None:
+        """Restore, with what is derived from positions (sites, sensors) as of them."""
+        state = np.frombuffer(data, np.float64).copy()
+        self._mujoco.mj_setState(self._env.model, self._env.data, state, self._kind)
+        self._mujoco.mj_forward(self._env.model, self._env.data)
+        self._mujoco.mj_setState(self._env.model, self._env.data, state, self._kind)

@@ -1,0 +1,73 @@
+"""Before a run starts: the environment opened, stepped, and found to do all that the run will ask of it."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+
+from t4nmtd_dist.compiled import CompiledTask
+from t4nmtd_dist.config import EnvironmentConfig
+from t4nmtd_dist.errors import T4NMTDError, WorldError
+from t4nmtd_dist.tasks import is_bundled
+
+SLOW = (
+    "states of environment {id!r} are restored by replaying actions from a seeded reset, which is slow and counts as "
+    "interactions, and an episode is cut after {horizon} steps; give it get_state and set_state to be faster "
+    "(docs/own-task.md)"
+)
+
+
+def prepared(task: CompiledTask) -> CompiledTask:
+    """Check the environment of a task, unless it comes with the package and is covered by its tests.
+
+    Returns:
+        The task with the way to save and restore states chosen, so that all workers use the same.
+
+    Raises:
+        WorldError: if the environment cannot be opened, reset, stepped, labelled or restored, has spaces that the
+            learner cannot use, or does not report what the formula uses.
+    """
+    if is_bundled(task.config):
+        return task
+    try:
+        environment = _checked(task)
+    except T4NMTDError:
+        raise
+    except Exception as error:  # whatever a user's environment may raise
+        text = f"environment {task.config.environment.id!r} raised {type(error).__name__}: {error}"
+        raise WorldError(text) from error
+    return dataclasses.replace(task, config=dataclasses.replace(task.config, environment=environment))
+
+
+def slowness(config: EnvironmentConfig) -> str | None:
+    """What the user should know if states are restored by replay."""
+    return SLOW.format(id=config.id, horizon=config.horizon) if config.snapshots == "replay" else None
+
+
+def _checked(task: CompiledTask) -> EnvironmentConfig:
+    from t4nmtd_dist.environments.restoring import choose_snapshots, chosen
+    from t4nmtd_dist.worlds import make_world
+
+    config = task.config
+    environment = chosen(config.environment, choose_snapshots(config.environment, config.propositions))
+    world = make_world(environment, 1, config.propositions)
+    check_fit(task, world.propositions, world.action_space)
+    world.reset(np.arange(1), 0)
+    world.step(np.array([world.action_space.sample()]))
+    return environment
+
+
+def check_fit(task: CompiledTask, propositions: tuple[str, ...], action_space: object) -> None:
+    """Check that the environment reports what the formula uses, and that the learner can act in it.
+
+    Raises:
+        WorldError: if not.
+    """
+    from gymnasium import spaces
+
+    from t4nmtd_dist.product import LetterReader
+
+    LetterReader(task.dfa, propositions)
+    if task.config.learner.algorithm == "ppo" and not isinstance(action_space, spaces.Discrete):
+        raise WorldError(f"PPO needs a Discrete action space; {task.config.environment.id} has {action_space}")

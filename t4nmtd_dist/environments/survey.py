@@ -1,0 +1,156 @@
+"""A task's environment under random actions: what it reports, how it ends, and whether it fits the task."""
+
+from __future__ import annotations
+
+import time
+from collections import Counter
+from dataclasses import dataclass, field
+
+from t4nmtd_dist.compiled import CompiledTask
+from t4nmtd_dist.environments.copies import EnvironmentCopy
+from t4nmtd_dist.environments.preparation import check_fit, slowness
+from t4nmtd_dist.environments.restoring import Choice, choose_snapshots, chosen
+from t4nmtd_dist.errors import T4NMTDError, WorldError
+
+MORE_TRIALS = 20
+
+
+@dataclass
+class Survey:
+    """What was found.
+
+    Attributes:
+        environment: the environment with its wrappers, as it prints itself.
+        observation_space, action_space: as they print themselves.
+        observation_size: numbers in an observation as the networks see it.
+        propositions: all that may be reported.
+        snapshots: the adapter that restores exactly.
+        steps, episodes: how many were taken.
+        endings: episodes by how they ended: accepted, error, terminated, truncated, horizon.
+        true_steps: steps on which each proposition held.
+        together: how often each set of names that an exclusive group forbids was seen.
+        steps_per_s: one copy, labels included.
+        problems: what makes the task unusable.
+        warnings: what deserves a look.
+    """
+
+    environment: str
+    observation_space: str
+    action_space: str
+    observation_size: int
+    propositions: tuple[str, ...]
+    snapshots: Choice
+    steps: int = 0
+    episodes: int = 0
+    endings: Counter[str] = field(default_factory=Counter)
+    true_steps: Counter[str] = field(default_factory=Counter)
+    together: Counter[tuple[str, ...]] = field(default_factory=Counter)
+    steps_per_s: float = 0.0
+    problems: list[str] = field(default_factory=list)
+    warnings: list[str] = field(default_factory=list)
+
+    @property
+    def never_true(self) -> list[str]:
+        """Propositions that never held."""
+        return [name for name in self.propositions if not self.true_steps[name]]
+
+
+def survey(task: CompiledTask, *, steps: int, seed: int) -> Survey:
+    """Act at random for a while.
+
+    Args:
+        task: any task, the package's own too.
+        steps: how many.
+        seed: of resets and actions.
+
+    Raises:
+        WorldError: if the environment cannot be opened, stepped, labelled or restored.
+    """
+    config = task.config
+    try:
+        choice = choose_snapshots(config.environment, config.propositions, trials=MORE_TRIALS)
+        copy = EnvironmentCopy(chosen(config.environment, choice), config.propositions)
+        found = _described(copy, choice)
+        _fits(task, copy, found)
+        _act(task, copy, found, steps, seed)
+    except T4NMTDError:
+        raise
+    except Exception as error:  # whatever a user's environment may raise
+        raise WorldError(f"environment {config.environment.id!r} raised {type(error).__name__}: {error}") from error
+    _judge(task, found)
+    return found
+
+
+def _described(copy: EnvironmentCopy, choice: Choice) -> Survey:
+    return Survey(
+        str(copy.env),
+        str(copy.env.observation_space),
+        str(copy.action_space),
+        copy.observation_size,
+        copy.propositions,
+        choice,
+    )
+
+
+def _fits(task: CompiledTask, copy: EnvironmentCopy, found: Survey) -> None:
+    try:
+        check_fit(task, copy.propositions, copy.action_space)
+    except WorldError as error:
+        found.problems.append(str(error))
+
+
+def _act(task: CompiledTask, copy: EnvironmentCopy, found: Survey, steps: int, seed: int) -> None:
+    copy.action_space.seed(seed)
+    began = time.perf_counter()
+    while found.steps < steps:
+        _episode(task, copy, found, steps, seed)
+    found.steps_per_s = found.steps / (time.perf_counter() - began)
+
+
+def _episode(task: CompiledTask, copy: EnvironmentCopy, found: Survey, steps: int, seed: int) -> None:
+    copy.reset(seed if not found.steps else None)
+    q, ending = task.dfa.initial, "horizon"
+    for _ in range(task.config.environment.horizon):
+        step = copy.step(copy.action_space.sample())
+        names = [name for name, holds in zip(copy.propositions, step.labels, strict=True) if holds]
+        found.steps += 1
+        found.true_steps.update(names)
+        for group in task.config.exclusive:
+            both = tuple(name for name in names if name in group)
+            found.together.update([both] if len(both) > 1 else [])
+        q = task.dfa.step(q, names)
+        ending = _ending(task, q, step.terminated, step.truncated)
+        if ending != "horizon":
+            break
+        if found.steps >= steps:
+            return
+    found.episodes += 1
+    found.endings[ending] += 1
+
+
+def _ending(task: CompiledTask, q: int, terminated: bool, truncated: bool) -> str:
+    holds = {
+        "accepted": q in task.dfa.accepting,
+        "error": q in task.dfa.error,
+        "terminated": terminated,
+        "truncated": truncated,
+    }
+    return next((name for name, held in holds.items() if held), "horizon")
+
+
+def _judge(task: CompiledTask, found: Survey) -> None:
+    for names, times in found.together.items():
+        text = f"exclusive says that {' and '.join(names)} never hold together, but they did on {times} steps"
+        found.problems.append(text)
+    unseen = [name for name in found.never_true if name in task.dfa.propositions]
+    if unseen:
+        found.warnings.append(
+            f"{', '.join(unseen)} never held under {found.steps} random steps: exploration may not find it either, "
+            "or it is never reported"
+        )
+    always = [name for name in found.propositions if found.true_steps[name] == found.steps]
+    if always:
+        found.warnings.append(f"{', '.join(always)} held on every step: does it depend on the state?")
+    slow = slowness(chosen(task.config.environment, found.snapshots))
+    if slow is not None:
+        found.warnings.append(slow)

@@ -1,0 +1,57 @@
+"""How much a connection may send to each bound socket."""
+
+from __future__ import annotations
+
+import time
+from collections import OrderedDict
+from dataclasses import dataclass
+
+from t4nmtd_dist.wire.codec import MAX_ARRAY_BYTES
+
+CONNECTIONS_REMEMBERED = 4096
+BURST_S = 4.0
+
+
+@dataclass(frozen=True)
+class Limits:
+    """Of one bound socket, for each of its connections.
+
+    Attributes:
+        frame_bytes: size of one frame; ZeroMQ drops the connection of a sender that exceeds it.
+        messages_per_s: messages a second, averaged over ``BURST_S`` seconds.
+        bytes_per_s: bytes a second, likewise.
+    """
+
+    frame_bytes: int
+    messages_per_s: float
+    bytes_per_s: float
+
+
+CONTROL_LIMITS = Limits(MAX_ARRAY_BYTES, 500, 128 << 20)
+CRITIC_LIMITS = Limits(8 << 20, 2000, 64 << 20)
+STATE_LIMITS = Limits(4096, 10, 4096)
+"""On the state socket, what comes in is nothing but subscriptions."""
+
+
+class RateLimiter:
+    """A pair of token buckets for every connection.
+
+    Args:
+        limits: the rates.
+    """
+
+    def __init__(self, limits: Limits) -> None:
+        self.limits = limits
+        self._spent: OrderedDict[bytes, tuple[float, float, float]] = OrderedDict()
+
+    def allows(self, peer: bytes, size: int, now: float | None = None) -> bool:
+        """Count a message of ``size`` bytes; False, and not counted, if its connection has sent too much."""
+        now = time.monotonic() if now is None else now
+        messages, volume, since = self._spent.pop(peer, (0.0, 0.0, now))
+        messages = max(0.0, messages - (now - since) * self.limits.messages_per_s)
+        volume = max(0.0, volume - (now - since) * self.limits.bytes_per_s)
+        within = messages + 1 <= self.limits.messages_per_s * BURST_S and volume <= self.limits.bytes_per_s * BURST_S
+        self._spent[peer] = (messages + 1, volume + size, now) if within else (messages, volume, now)
+        if len(self._spent) > CONNECTIONS_REMEMBERED:
+            self._spent.popitem(last=False)
+        return within

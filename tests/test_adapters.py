@@ -1,0 +1,367 @@
+"""Anyone's environment as a world: spaces, wrappers, time-outs, and snapshots that any process can restore."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections import deque
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import own_environments
+import pytest
+from gymnasium import spaces
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from own_environments import LEFT, LENGTH, RIGHT
+
+from t4nmtd_dist.config import EnvironmentConfig
+from t4nmtd_dist.environments.attribute_state import CannotRestoreError, pack, restored
+from t4nmtd_dist.environments.copies import EnvironmentCopy
+from t4nmtd_dist.environments.observations import flattener
+from t4nmtd_dist.environments.restoring import choose_snapshots, chosen, with_snapshots
+from t4nmtd_dist.errors import WorldError
+from t4nmtd_dist.wire.codec import Envelope, decode, encode
+from t4nmtd_dist.wire.messages import Release
+from t4nmtd_dist.worlds import BatchedWorld, LoopedWorld, make_world
+
+HERE = str(Path(__file__).parent)
+NAMES = ("left", "right", "again")
+ONE = np.array([0])
+
+
+def environment(name: str, **settings: Any) -> EnvironmentConfig:
+    return EnvironmentConfig(id=f"own_environments:{name}", horizon=30, path=HERE, **settings)
+
+
+def world_of(name: str, count: int = 1, **settings: Any) -> BatchedWorld:
+    return make_world(environment(name, **settings), count, NAMES)
+
+
+def course(world: BatchedWorld, actions: list[int]) -> list[list[Any]]:
+    """Observations, labels and ends of all copies, step by step."""
+    steps = [world.step(np.full(world.count, action)) for action in actions]
+    return [[s.observations.tolist(), s.labels.tolist(), s.terminated.tolist(), s.truncated.tolist()] for s in steps]
+
+
+# Which adapter is chosen
+
+
+@pytest.mark.parametrize(
+    ("name", "adapter", "failed"),
+    [
+        ("Corridor", "attributes", []),
+        ("Mixed", "attributes", []),
+        ("timed", "attributes", []),
+        ("Named", "own", []),
+        ("Forgetful", "attributes", ["own"]),
+        ("Opaque", "replay", ["attributes"]),
+    ],
+)
+def test_the_first_adapter_that_restores_exactly_is_chosen(name: str, adapter: str, failed: list[str]) -> None:
+    choice = choose_snapshots(environment(name), NAMES)
+    assert (choice.adapter, list(choice.failures)) == (adapter, failed)
+
+
+@pytest.mark.parametrize(
+    ("name", "adapter"),
+    [("CartPole-v1", "attributes"), ("CliffWalking-v1", "attributes"), ("Acrobot-v1", "attributes")],
+)
+def test_gymnasiums_own_environments_can_be_restored(name: str, adapter: str) -> None:
+    settings = EnvironmentConfig(name, 30, labels="own_environments:nothing_holds", path=HERE)
+    assert choose_snapshots(settings, ("left",)).adapter == adapter
+
+
+def test_mujoco_environments_are_restored_by_their_integration_state(tmp_path: Path, monkeypatch: Any) -> None:
+    monkeypatch.chdir(tmp_path)  # MuJoCo may log into the current folder
+    settings = EnvironmentConfig("Reacher-v5", 30, labels="own_environments:nothing_holds", path=HERE)
+    assert choose_snapshots(settings, ("left",)).adapter == "mujoco"
+
+
+def test_chance_that_no_seed_reaches_is_refused_with_what_each_adapter_did_wrong() -> None:
+    with pytest.raises(WorldError, match=r"Erratic.*attributes: another .* after restoring.*replay: another"):
+        choose_snapshots(environment("Erratic"), NAMES)
+
+
+def test_a_setting_chooses_the_adapter_and_one_that_does_not_fit_is_refused() -> None:
+    assert choose_snapshots(environment("Corridor", snapshots="replay"), NAMES).adapter == "replay"
+    with pytest.raises(WorldError, match='snapshots = "mujoco" does not fit'):
+        world_of("Corridor", snapshots="mujoco", snapshot_bytes=100)
+
+
+# Snapshots
+
+
+@pytest.mark.parametrize("name", ["Corridor", "Mixed", "timed", "Named", "Opaque"])
+@settings(max_examples=15, deadline=None)
+@given(before=st.lists(st.integers(0, 1), max_size=12), after=st.lists(st.integers(0, 1), max_size=6))
+def test_snapshots_travel_to_other_processes_and_restore_exactly(
+    name: str, before: list[int], after: list[int]
+) -> None:
+    config = with_snapshots(environment(name), NAMES)
+    here, there = make_world(config, 1, NAMES), make_world(config, 1, NAMES)
+    here.reset(ONE, 5)
+    earlier = course(here, before)
+    if earlier and (earlier[-1][2][0] or earlier[-1][3][0]):
+        return
+    (state,) = here.snapshot(ONE)
+    (frame,) = decode(encode(Envelope(Release(pid="x", epoch=1), {"state": state}))).arrays.values()
+    observations = there.restore(ONE, [frame])
+    if earlier:
+        assert observations.tolist() == earlier[-1][0]
+    assert course(there, after) == course(here, after)
+
+
+def test_snapshots_of_a_run_are_all_alike() -> None:
+    for name in ("Corridor", "Named", "Opaque"):
+        world = world_of(name, 3)
+        world.reset(np.arange(3), 0)
+        fresh = world.snapshot(np.arange(3))
+        course(world, [LEFT, RIGHT, RIGHT, RIGHT])
+        kinds = {(state.dtype, state.shape) for state in [*fresh, *world.snapshot(np.arange(3))]}
+        assert len(kinds) == 1
+
+
+def test_equal_states_give_equal_snapshots_however_they_came_about() -> None:
+    world = world_of("Corridor")
+    world.reset(ONE, 1)
+    course(world, [LEFT, RIGHT])
+    (first,) = world.snapshot(ONE)
+    world.reset(ONE, 2)
+    course(world, [LEFT, RIGHT])
+    (second,) = world.snapshot(ONE)
+    assert first.tolist() == second.tolist()
+
+
+def test_every_attempt_from_a_start_throws_new_dice() -> None:
+    for snapshots in ("attributes", "replay"):
+        world = world_of("Corridor", options={"slip": 0.5}, snapshots=snapshots)
+        world.reset(ONE, 0)
+        course(world, [LEFT])
+        (start,) = world.snapshot(ONE)
+        courses = []
+        for _ in range(8):
+            world.restore(ONE, [start])
+            courses.append(str(course(world, [RIGHT] * 5)))
+        assert len(set(courses)) > 2, snapshots
+
+
+def test_a_replay_repeats_the_dice_of_all_attempts_before() -> None:
+    settings: dict[str, Any] = {"options": {"slip": 0.5}, "snapshots": "replay"}
+    world, other = world_of("Corridor", **settings), world_of("Corridor", **settings)
+    world.reset(ONE, 0)
+    (state,) = world.snapshot(ONE)
+    for number in range(6):
+        world.restore(ONE, [state])
+        observations = world.step(np.array([number % 2])).observations
+        (state,) = world.snapshot(ONE)
+        assert other.restore(ONE, [state]).tolist() == observations.tolist()
+
+
+def test_replayed_steps_are_counted() -> None:
+    world = world_of("Opaque")
+    world.reset(ONE, 0)
+    course(world, [LEFT] * 4)
+    (state,) = world.snapshot(ONE)
+    before = world.replayed
+    world.restore(ONE, [state])
+    assert world.replayed - before == 4
+
+
+def test_an_episode_that_can_no_longer_be_replayed_is_cut() -> None:
+    world = make_world(dataclasses.replace(environment("Opaque"), horizon=5, snapshots="replay"), 1, NAMES)
+    world.reset(ONE, 0)
+    assert [step[3] for step in course(world, [LEFT] * 5)] == [[False]] * 4 + [[True]]
+
+
+def test_a_snapshot_of_something_else_is_refused() -> None:
+    (state,) = world_of("Mixed").snapshot(ONE)
+    world = world_of("Corridor")
+    for wrong in (state, np.zeros(3), np.zeros(8, np.uint8), np.full(40, 255, np.uint8)):
+        with pytest.raises(WorldError, match="no snapshot of <Corridor"):
+            world.restore(ONE, [wrong])
+
+
+def test_a_snapshot_that_does_not_fit_says_what_to_do() -> None:
+    world = world_of("Corridor", snapshots="attributes", snapshot_bytes=8)
+    world.reset(ONE, 0)
+    with pytest.raises(WorldError, match=r"room for 8: set environment\.snapshot_bytes"):
+        world.snapshot(ONE)
+
+
+# What a callable returns is kept as it is
+
+
+def test_wrappers_and_their_counters_are_part_of_the_world() -> None:
+    world = world_of("timed", options={"steps": 4})
+    world.reset(ONE, 0)
+    course(world, [LEFT] * 3)
+    (late,) = world.snapshot(ONE)
+    world.reset(ONE)
+    assert [step[3] for step in course(world, [LEFT] * 4)] == [[False]] * 3 + [[True]]
+    world.restore(ONE, [late])
+    assert course(world, [LEFT])[0][2:] == [[False], [True]], "a time-out is no terminal"
+
+
+def test_a_registered_environment_loses_gymnasiums_time_limit_only() -> None:
+    settings = EnvironmentConfig("MountainCar-v0", 300, labels="own_environments:nothing_holds", path=HERE)
+    world = make_world(settings, 1, ("left",))
+    world.reset(ONE, 0)
+    assert not any(world.step(np.array([1])).truncated[0] for _ in range(250))
+
+
+# Opening and labels
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"id": "own_environments:Corrridor"}, "own_environments has no 'Corrridor'"),
+        ({"id": "no_such_module:Corridor"}, f"no module 'no_such_module' in {HERE}, nor among what is installed"),
+        ({"id": "NoSuch-v0"}, "'NoSuch-v0'"),
+        ({"id": "own_environments:failing"}, "RuntimeError: no licence"),
+        ({"id": "own_environments:not_an_environment"}, "made object; expected a gymnasium.Env"),
+        ({"id": "own_environments:Pairs"}, r"observation space Tuple\(.* is not supported"),
+        ({"options": {"colour": 1}}, "refused its options"),
+        ({"labels": "own_environments"}, "expected module:function"),
+        ({"labels": "own_environments:missing"}, "has no function 'missing'"),
+        ({"path": "/nowhere", "labels": "nowhere_at_all:f"}, "no folder on this machine"),
+    ],
+)
+def test_what_cannot_be_opened_is_named(changes: dict[str, Any], message: str) -> None:
+    with pytest.raises(WorldError, match=message):
+        make_world(dataclasses.replace(environment("Corridor"), **changes), 1, NAMES)
+
+
+@pytest.mark.parametrize(
+    ("function", "message"),
+    [
+        ("undeclared", "own_environments:undeclared reported 'middle', which is not declared; .* left, right, again"),
+        ("one_name", "own_environments:one_name gave 'left'; expected a set of names"),
+        ("nothing", "own_environments:nothing gave None; expected a set of names"),
+        ("raising", "labelling function own_environments:raising raised KeyError: 'speed'"),
+    ],
+)
+def test_a_labelling_function_that_does_not_do_its_work_is_named(function: str, message: str) -> None:
+    world = world_of("Corridor", labels=f"own_environments:{function}", snapshots="attributes", snapshot_bytes=400)
+    world.reset(ONE, 0)
+    with pytest.raises(WorldError, match=message):
+        world.step(np.array([LEFT]))
+
+
+def test_without_a_function_the_environment_must_report_labels() -> None:
+    world = make_world(EnvironmentConfig("CartPole-v1", 10, snapshots="attributes", snapshot_bytes=400), 1, NAMES)
+    world.reset(ONE, 0)
+    with pytest.raises(WorldError, match="names no labelling function"):
+        world.step(np.array([LEFT]))
+
+
+def test_a_labelling_function_sees_the_observation_as_it_was() -> None:
+    world = world_of("Corridor", labels="own_environments:ends")
+    world.reset(ONE, 0)
+    labels = [step[1][0] for step in course(world, [LEFT] * 3)]
+    assert labels == [[False] * 3, [False] * 3, [True, False, False]]
+
+
+def test_observations_that_are_not_finite_are_refused(monkeypatch: pytest.MonkeyPatch) -> None:
+    world = world_of("Mixed")
+    assert isinstance(world, LoopedWorld)
+    world.reset(ONE, 0)
+    broken = {"picture": np.full((2, LENGTH), np.nan, np.float32), "last": 0}
+    monkeypatch.setattr(own_environments.Mixed, "observe", lambda _: broken)
+    with pytest.raises(WorldError, match="NaN or infinity"):
+        world.step(np.array([LEFT]))
+
+
+# Observations
+
+
+def test_observations_are_flattened() -> None:
+    box, one_of = spaces.Box(0, 255, (2, 3), np.uint8), spaces.Discrete(3, start=-1)
+    assert flattener(box).flatten(np.arange(6, dtype=np.uint8).reshape(2, 3)).tolist() == [0, 1, 2, 3, 4, 5]
+    assert flattener(one_of).flatten(1).tolist() == [0, 0, 1]
+    both = flattener(spaces.Dict({"b": box, "a": one_of}))
+    flat = both.flatten({"a": -1, "b": np.ones((2, 3))})
+    assert both.size == flat.size == 9
+    assert flat.dtype == np.float32
+    assert sorted(flat.tolist()) == [0, 0] + [1] * 7
+    with pytest.raises(WorldError, match=r"not in -1\.\.1"):
+        flattener(one_of).flatten(2)
+
+
+@pytest.mark.parametrize(
+    "space", [spaces.MultiBinary(3), spaces.Dict({"inner": spaces.Dict({"a": spaces.Discrete(2)})}), spaces.Text(3)]
+)
+def test_other_observations_are_refused_by_name(space: Any) -> None:
+    with pytest.raises(WorldError, match="is not supported; expected Box, Discrete, or a flat Dict"):
+        flattener(space)
+
+
+@pytest.mark.parametrize("space", [spaces.Discrete(2, start=1), spaces.MultiDiscrete([2, 2])])
+def test_other_actions_are_refused_by_name(space: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+    made = own_environments.Corridor()
+    made.action_space = space
+    monkeypatch.setattr(own_environments, "Corridor", lambda: made)
+    with pytest.raises(WorldError, match=r"action space .* is not supported"):
+        EnvironmentCopy(environment("Corridor"), NAMES)
+
+
+# States of objects as bytes
+
+PLAIN = st.none() | st.booleans() | st.integers() | st.floats(allow_nan=False) | st.text() | st.binary()
+TREES = st.recursive(
+    PLAIN,
+    lambda inner: (
+        st.lists(inner, max_size=4)
+        | st.tuples(inner, inner)
+        | st.dictionaries(st.text() | st.integers() | st.tuples(st.integers(), st.text()), inner, max_size=4)
+        | st.frozensets(st.integers() | st.text(), max_size=4)
+        | st.sets(st.tuples(st.integers(), st.booleans()), max_size=4)
+    ),
+    max_leaves=12,
+)
+
+
+@given(value=TREES, other=TREES)
+def test_plain_data_comes_back_whatever_was_there(value: Any, other: Any) -> None:
+    packed = pack(value)
+    fresh = restored(packed, other)
+    assert fresh == value
+    assert pack(fresh) == packed
+
+
+@dataclasses.dataclass
+class Thing:
+    place: Any
+    rng: Any = None
+    friend: Any = None
+
+
+def test_objects_are_restored_where_they_are_so_that_others_see_it() -> None:
+    grid = np.arange(6.0).reshape(2, 3)
+    rng, legacy = np.random.default_rng(3), np.random.RandomState(3)
+    thing = Thing(grid, rng, [deque([1, 2]), legacy, np.float64(0.5), 2**70])
+    thing.self_reference = thing  # type: ignore[attr-defined]
+    alias, packed = grid, pack(thing)
+    drawn = rng.random(3).tolist(), legacy.rand(3).tolist()
+    grid += 1
+    thing.friend[0].append(9)
+    thing.later = "an attribute that was not there"  # type: ignore[attr-defined]
+    assert restored(packed, thing) is thing
+    assert alias.tolist() == np.arange(6.0).reshape(2, 3).tolist()
+    assert thing.place is alias
+    assert thing.friend[0] == deque([1, 2])
+    assert isinstance(thing.friend[2], np.float64)
+    assert thing.friend[3] == 2**70
+    assert (rng.random(3).tolist(), legacy.rand(3).tolist()) == drawn
+    assert not hasattr(thing, "later")
+
+
+def test_objects_that_are_gone_cannot_be_made_again() -> None:
+    with pytest.raises(CannotRestoreError, match="NoneType"):
+        restored(pack(Thing(1)), None)
+
+
+def test_the_room_that_was_chosen_is_kept() -> None:
+    config = environment("Corridor", snapshot_bytes=4000)
+    assert chosen(config, choose_snapshots(config, NAMES)).snapshot_bytes == 4000
