@@ -4,8 +4,8 @@ Peers: pyRDDLGym's simulation of the IPPC 2023 RaceCar (its first instance) and 
 without wrappers, like ours. All take random actions and are reset at the end of their horizon within the measured
 time; every figure includes observations and labels. Seconds are of processor time, all on one
 core and one thread, and the rows take turns: so other programs on the machine disturb the figures less.
-Run ``python benchmarks/env_speed.py [--json]`` after ``pip install pyRDDLGym rddlrepository imageio``; without
-those packages the peer is left out and its figure is null.
+Run ``python benchmarks/env_speed.py [--json]`` after ``pip install '.[bench]'``; without those
+packages the peer is left out and its figure is null.
 """
 
 from __future__ import annotations

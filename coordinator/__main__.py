@@ -6,6 +6,7 @@ import os
 import signal
 import sys
 from dataclasses import dataclass
+from pathlib import Path
 from types import FrameType
 
 import tyro
@@ -24,8 +25,10 @@ class CoordinatorCommand(RunOptions):
     """Endpoint on which workers are heard."""
     publish: str = DEFAULT_STATE
     """Endpoint on which the state is published for dashboards."""
+    keys: Path | None = None
+    """Folder of keys made by `t4nmtd keys new`; needed for addresses that other machines can reach."""
     insecure: bool = False
-    """Allow addresses that other machines can reach."""
+    """Allow addresses that other machines can reach without keys: on a trusted network only."""
     no_dashboard: bool = False
     """Show nothing on this terminal but the outcome."""
     lease: float = 10.0
@@ -56,12 +59,14 @@ def run(command: CoordinatorCommand) -> int:
 
 
 def _serve(command: CoordinatorCommand) -> int:
+    from coordinator.doors import Access
     from coordinator.service import CoordinatorService
     from coordinator.state import CoordinatorState, RunSettings
     from coordinator.viewer import BackgroundViewer
     from t4nmtd_dist.compiled import compile_task
     from t4nmtd_dist.environments.preparation import prepared, slowness
     from t4nmtd_dist.errors import ConfigError
+    from t4nmtd_dist.wire.addresses import here
     from t4nmtd_dist.wire.sockets import new_context
 
     if not command.lease > 0:
@@ -74,15 +79,15 @@ def _serve(command: CoordinatorCommand) -> int:
     directory = command.directory(config.name)
     settings = RunSettings(command.seed, config.max_interactions, os.urandom(8).hex(), str(directory), command.lease)
     state = CoordinatorState(task, settings)
-    endpoints = (command.bind, command.publish)
-    service = CoordinatorService(state, directory, endpoints, restart=command.restart, insecure=command.insecure)
+    access = Access(command.bind, command.publish, command.keys, command.insecure)
+    service = CoordinatorService(state, directory, access, restart=command.restart)
 
     def stop(number: int, _: FrameType | None) -> None:
         service.interrupt(signal.Signals(number).name)
 
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, stop)
-    viewer = None if command.no_dashboard else BackgroundViewer(new_context(), service.publish)
+    viewer = None if command.no_dashboard else BackgroundViewer(new_context(), here(service.publish), service.own_keys)
     try:
         service.serve()
     finally:

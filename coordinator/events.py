@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Set
 from dataclasses import dataclass, field
 from typing import Any, Literal
 
@@ -16,11 +16,12 @@ Outcome = Literal["solved", "budget spent", "stopped"]
 
 @dataclass(frozen=True)
 class Received:
-    """A message from a peer; ``now`` in seconds of the coordinator's monotonic clock."""
+    """A message from a peer; ``now`` in seconds of the coordinator's monotonic clock, ``key`` the sender's, if any."""
 
     now: float
     peer: bytes
     envelope: Envelope
+    key: str = ""
 
 
 @dataclass(frozen=True)
@@ -38,7 +39,23 @@ class Interrupted:
     reason: str
 
 
-Event = Received | Tick | Interrupted
+@dataclass(frozen=True)
+class KeysChanged:
+    """The list of clients was read anew: all public keys that are on it now."""
+
+    now: float
+    allowed: Set[str]
+
+
+@dataclass(frozen=True)
+class Noticed:
+    """Something about the sockets that is worth a line in the event log."""
+
+    now: float
+    text: str
+
+
+Event = Received | Tick | Interrupted | KeysChanged | Noticed
 
 
 @dataclass(frozen=True)

@@ -8,7 +8,10 @@ from dataclasses import dataclass, replace
 
 @dataclass(frozen=True)
 class Lease:
-    """A worker's right to a place until ``expires`` (seconds of the coordinator's clock), or until given back."""
+    """A worker's right to a place until ``expires`` (seconds of the coordinator's clock), or until given back.
+
+    ``key`` is the holder's public key; empty where the coordinator has no keys.
+    """
 
     place: str
     epoch: int
@@ -18,6 +21,7 @@ class Lease:
     expires: float
     endpoint: str
     released: bool = False
+    key: str = ""
 
 
 class LeaseTable:
@@ -48,13 +52,21 @@ class LeaseTable:
         free = [place for place in self.places if not self.live(place, now)]
         return min(free, key=lambda place: (place in self._leases, self.places.index(place)), default=None)
 
-    def claim(self, place: str, holder: bytes, instance: str, endpoint: str, now: float) -> Lease | None:
-        """Lease a place; None while another instance's lease is live. The same instance starts a new epoch."""
+    def left_by(self, instance: str, key: str, holder: bytes, now: float) -> str | None:
+        """The place whose live lease this instance got over an earlier connection: it was started again."""
+        own = (lease for lease in self.holders(now) if (lease.instance, lease.key) == (instance, key))
+        return next((lease.place for lease in own if lease.holder != holder), None)
+
+    def claim(self, place: str, holder: bytes, instance: str, endpoint: str, now: float, key: str = "") -> Lease | None:
+        """Lease a place; None while another instance's lease is live. The same instance starts a new epoch.
+
+        With keys, who claims under the name of another key's instance is another instance.
+        """
         old = self._leases.get(place)
-        if old is not None and old.expires > now and old.instance != instance:
+        if old is not None and old.expires > now and (old.instance, old.key) != (instance, key):
             return None
         self._epochs[place] += 1
-        lease = Lease(place, self._epochs[place], holder, instance, now, now + self.duration, endpoint)
+        lease = Lease(place, self._epochs[place], holder, instance, now, now + self.duration, endpoint, key=key)
         self._leases[place] = lease
         return lease
 
@@ -73,6 +85,11 @@ class LeaseTable:
             return False
         self._leases[place] = replace(lease, expires=lease.heard, released=True)
         return True
+
+    def end(self, place: str) -> None:
+        """End a lease now, whoever holds it."""
+        lease = self._leases[place]
+        self._leases[place] = replace(lease, expires=lease.heard, released=True)
 
     def holders(self, now: float) -> list[Lease]:
         """All live leases."""

@@ -7,7 +7,16 @@ from typing import Any
 
 from coordinator.records import LearnerRecord, add_interventions
 from coordinator.state import CoordinatorState
-from t4nmtd_dist.wire.messages import DashboardState, EvaluationRow, Intervention, LearnerPhase, LearnerRow, QCell
+from t4nmtd_dist import __version__
+from t4nmtd_dist.wire.messages import (
+    DashboardState,
+    EvaluationRow,
+    Intervention,
+    LearnerPhase,
+    LearnerRow,
+    QCell,
+    Status,
+)
 
 EVALUATIONS_SHOWN = 200
 
@@ -35,6 +44,30 @@ def dashboard_state(state: CoordinatorState) -> DashboardState:
         q_table=_q_cells(state),
         evaluations=thinned(state.evaluations.history, EVALUATIONS_SHOWN),
         events=list(state.events),
+    )
+
+
+def status(state: CoordinatorState, clock: float) -> Status:
+    """The answer to ``t4nmtd status``; ``clock`` in seconds of Unix time."""
+    history = state.evaluations.history
+    evaluators = state.evaluator_lease.holders(state.now)
+    return Status(
+        program=__version__,
+        boot_id=state.settings.boot_id,
+        clock=clock,
+        task=state.task.config.name,
+        seed=state.settings.seed,
+        run_dir=state.settings.run_dir,
+        phase=state.phase,
+        elapsed_s=state.elapsed_s,
+        interactions=state.interactions,
+        max_interactions=state.settings.max_interactions,
+        success_rate=history[-1].success_rate if history else None,
+        solved_in_a_row=state.evaluations.in_a_row,
+        solved_needed=state.task.config.evaluation.in_a_row,
+        evaluator=evaluators[0].instance if evaluators else "",
+        learners=[_learner_row(state, pid, record) for pid, record in state.records.items()],
+        critics={lease.place: lease.endpoint for lease in state.leases.holders(state.now)},
     )
 
 

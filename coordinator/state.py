@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections import deque
+from collections.abc import Set
 from dataclasses import dataclass
 from typing import Any
 
@@ -15,6 +16,8 @@ from coordinator.events import (
     Event,
     Finish,
     Interrupted,
+    KeysChanged,
+    Noticed,
     Outcome,
     Received,
     RecordEvaluation,
@@ -118,6 +121,10 @@ class CoordinatorState:
             return self._receive(event)
         if isinstance(event, Interrupted):
             return self._finish("stopped", event.reason)
+        if isinstance(event, KeysChanged):
+            return self._end_leases_without_key(event.allowed)
+        if isinstance(event, Noticed):
+            return [self._tell(event.text)]
         return self._notice_lost()
 
     def _receive(self, event: Received) -> list[Action]:
@@ -129,7 +136,7 @@ class CoordinatorState:
             if self.outcome is not None:
                 return [Send(peer, Goodbye(reason=self.outcome), answers=envelope.id)]
             if isinstance(message, Claim):
-                return self._claim(peer, message, envelope.id)
+                return self._claim(event, message)
             if isinstance(message, Sync):
                 return self._sync(event, message)
             if isinstance(message, Release):
@@ -145,9 +152,11 @@ class CoordinatorState:
 
     # Leases
 
-    def _claim(self, peer: bytes, claim: Claim, answers: int) -> list[Action]:
+    def _claim(self, event: Received, claim: Claim) -> list[Action]:
+        peer, answers = event.peer, event.envelope.id
         table = self.evaluator_lease if claim.role == "evaluator" else self.leases
-        place = EVALUATOR if claim.role == "evaluator" else claim.pid or table.next_free(self.now)
+        left = table.left_by(claim.instance, event.key, peer, self.now)
+        place = EVALUATOR if claim.role == "evaluator" else claim.pid or left or table.next_free(self.now)
         if place is None:
             text = "every sub-task has a learner; standing by"
             return [Send(peer, Refused(reason="nothing free", text=text, final=False), answers=answers)]
@@ -155,7 +164,7 @@ class CoordinatorState:
             text = f"unknown pid {place!r}; the sub-tasks of {self.task.config.name} are {', '.join(table.places)}"
             return [Send(peer, Refused(reason="unknown pid", text=text, final=True, pid=place), answers=answers)]
         before = table.get(place)
-        lease = table.claim(place, peer, claim.instance, claim.critic_endpoint, self.now)
+        lease = table.claim(place, peer, claim.instance, claim.critic_endpoint, self.now, event.key)
         if lease is None:
             return [self._refuse_live(peer, place, before, answers)]
         return self._grant(peer, claim, lease, answers)
@@ -195,6 +204,15 @@ class CoordinatorState:
         if not self.leases.release(release.pid, release.epoch, peer):
             return []
         return [self._tell(f"{release.pid} given back")]
+
+    def _end_leases_without_key(self, allowed: Set[str]) -> list[Action]:
+        told: list[Action] = []
+        for table in (self.leases, self.evaluator_lease):
+            for lease in table.holders(self.now):
+                if lease.key and lease.key not in allowed:
+                    table.end(lease.place)
+                    told.append(self._tell(f"{lease.place} taken from {lease.instance}: its key was revoked"))
+        return told
 
     def _notice_lost(self) -> list[Action]:
         told: list[Action] = []
@@ -236,7 +254,8 @@ class CoordinatorState:
             return []  # sent before the grant of the newer epoch, which is on its way, arrived there
         else:
             text = f"epoch {sync.epoch} of {sync.pid} is over: {lease.instance} holds epoch {lease.epoch}"
-        refused = Refused(reason="stale epoch", text=text, final=lease is not None, pid=sync.pid)
+        final = lease is not None and sync.epoch != lease.epoch  # the same epoch: the same learner, connected anew
+        refused = Refused(reason="stale epoch", text=text, final=final, pid=sync.pid)
         return [Send(peer, refused, answers=answers)]
 
     def _apply(self, pid: str, progress: ReceivedProgress) -> None:
@@ -267,7 +286,12 @@ class CoordinatorState:
 
     def _peers(self, pid: str) -> dict[str, Peer]:
         return {
-            lease.place: Peer(endpoint=lease.endpoint, version=self.records[lease.place].version, epoch=lease.epoch)
+            lease.place: Peer(
+                endpoint=lease.endpoint,
+                version=self.records[lease.place].version,
+                epoch=lease.epoch,
+                key=lease.key,
+            )
             for lease in self.leases.holders(self.now)
             if lease.place != pid and lease.endpoint
         }

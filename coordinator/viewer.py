@@ -10,7 +10,9 @@ from collections.abc import Callable
 from rich.console import Console
 
 from coordinator.dashboard import LiveDashboard
-from t4nmtd_dist.errors import ProtocolError
+from t4nmtd_dist.errors import ProtocolError, RunError
+from t4nmtd_dist.wire.handshake import HandshakeMonitor, trouble
+from t4nmtd_dist.wire.keys import ClientKeys
 from t4nmtd_dist.wire.messages import DashboardState
 from t4nmtd_dist.wire.sockets import Context, Socket, receive, subscribe
 
@@ -28,6 +30,7 @@ def watch(
     endpoint: str,
     *,
     keep_going: Callable[[], bool],
+    keys: ClientKeys | None = None,
     console: Console | None = None,
     silence_s: float | None = None,
 ) -> DashboardState | None:
@@ -37,14 +40,19 @@ def watch(
         context: the process's ZeroMQ context.
         endpoint: where the coordinator publishes.
         keep_going: asked several times a second; False ends the watching.
+        keys: of a coordinator that has keys.
         console: where to draw; the process's terminal by default.
         silence_s: seconds without a state after which to stop; None for no limit of its own.
 
     Returns:
         The last state seen.
+
+    Raises:
+        RunError: if the coordinator refuses the keys, or wants some.
     """
     console = console or Console()
-    socket = subscribe(context, endpoint)
+    socket = subscribe(context, endpoint, keys)
+    handshakes = HandshakeMonitor(socket)
     last: DashboardState | None = None
     heard = time.monotonic()
     try:
@@ -53,6 +61,7 @@ def watch(
             while keep_going():
                 state = _newest(socket)
                 if state is None:
+                    _check_refusal(handshakes, endpoint, keys)
                     if silence_s is not None and time.monotonic() - heard > silence_s:
                         break
                     continue
@@ -61,8 +70,16 @@ def watch(
                 if state.phase in OVER:
                     break
     finally:
+        handshakes.close()
         socket.close(0)
     return last
+
+
+def _check_refusal(handshakes: HandshakeMonitor, endpoint: str, keys: ClientKeys | None) -> None:
+    while (outcome := handshakes.next()) is not None:
+        text = trouble(outcome, endpoint, keys)
+        if text is not None and outcome != "broken":
+            raise RunError(text)
 
 
 def _newest(socket: Socket) -> DashboardState | None:
@@ -87,15 +104,16 @@ class BackgroundViewer:
     Args:
         context: the process's ZeroMQ context.
         endpoint: where the coordinator publishes.
+        keys: of a coordinator that has keys.
     """
 
-    def __init__(self, context: Context, endpoint: str) -> None:
+    def __init__(self, context: Context, endpoint: str, keys: ClientKeys | None = None) -> None:
         self._stop = threading.Event()
-        self._thread = threading.Thread(target=self._run, args=(context, endpoint), name="dashboard", daemon=True)
+        self._thread = threading.Thread(target=self._run, args=(context, endpoint, keys), name="dashboard", daemon=True)
         self._thread.start()
 
-    def _run(self, context: Context, endpoint: str) -> None:
-        watch(context, endpoint, keep_going=lambda: not self._stop.is_set())
+    def _run(self, context: Context, endpoint: str, keys: ClientKeys | None) -> None:
+        watch(context, endpoint, keep_going=lambda: not self._stop.is_set(), keys=keys)
 
     def close(self) -> None:
         """End the dashboard; returns within two seconds even if the terminal is stuck."""

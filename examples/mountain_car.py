@@ -44,3 +44,19 @@ def labels(observation: NDArray[np.float32], info: dict[str, Any]) -> set[str]:
     place = -1.2 + (float(observation[0]) + 1) / 2 * 1.8  # undo the scaling
     reached = {"left": place <= LEFT_HILL, "flag": place >= FLAG, "wall": info["leftmost"] <= WALL}
     return {name for name, holds in reached.items() if holds}
+
+
+def play(path: str) -> bool:
+    """Play one episode with the policy in ``path`` (a run, or an exported policy); whether the task was solved."""
+    from t4nmtd_dist.policy import load
+
+    policy, env = load(path), make()
+    observation, _ = env.reset()
+    q, names = policy.dfa.initial, set[str]()
+    for _ in range(policy.config.environment.horizon):
+        observation, _, terminated, truncated, info = env.step(policy.act(observation, names))
+        names = labels(observation, info)
+        q = policy.dfa.step(q, names)
+        if q in policy.dfa.accepting | policy.dfa.error or terminated or truncated:
+            break
+    return q in policy.dfa.accepting

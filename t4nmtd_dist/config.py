@@ -70,7 +70,7 @@ class LearnerConfig:
     """What all learners share.
 
     Attributes:
-        algorithm: ``ppo`` (discrete actions).
+        algorithm: ``ppo`` (discrete actions) or ``sac`` (continuous actions).
         gamma: discount per step, also the one inside the shaped reward.
         shaping: ``potential`` (potential difference on every step), ``paper`` (only when a target is reached),
             ``subtask`` (10 for a target, 100 for acceptance); docs/decisions/006 has the measurements.
@@ -83,7 +83,7 @@ class LearnerConfig:
         hidden: widths of the hidden layers of actor and critic.
     """
 
-    algorithm: Literal["ppo"] = "ppo"
+    algorithm: Literal["ppo", "sac"] = "ppo"
     gamma: float = 0.99
     shaping: Shaping = "potential"
     reward_scale: float = 0.01
@@ -125,6 +125,42 @@ class PPOConfig:
 
 
 @dataclass(frozen=True)
+class SACConfig:
+    """SAC (Haarnoja et al., 2018); Stable-Baselines3's defaults where no reason speaks against them.
+
+    Attributes:
+        worlds: copies of the environment stepped together by one learner.
+        steps_per_iteration: steps of each copy between two messages to the coordinator.
+        replay_rows: experiences kept.
+        learning_starts: experiences before the first update.
+        batch: rows of one update.
+        updates_per_step: updates per interaction.
+        n_step: longest return, cut at every change of the DFA state.
+        relabel_share: share of a batch that is read in another DFA state of the sub-task (exact relabelling).
+        success_share: share of a batch from the last steps before past successes.
+        exploration_share: share of the attempts of a learner without success that are driven by sinusoids.
+        initial_alpha: entropy coefficient at the start; it is tuned from there.
+        tau: step of the target networks.
+        layer_norm: layer normalisation in the critics.
+    """
+
+    worlds: int = 4
+    steps_per_iteration: int = 10
+    replay_rows: int = 300_000
+    learning_starts: int = 1000
+    batch: int = 256
+    updates_per_step: float = 1.0
+    n_step: int = 5
+    relabel_share: float = 0.5
+    success_share: float = 0.25
+    exploration_share: float = 0.5
+    learning_rate: float = 3e-4
+    initial_alpha: float = 0.1
+    tau: float = 0.005
+    layer_norm: bool = True
+
+
+@dataclass(frozen=True)
 class EvaluationConfig:
     """When the global policy is evaluated and when the task counts as solved."""
 
@@ -148,6 +184,7 @@ class TaskConfig:
     high_level: HighLevelConfig = HighLevelConfig()
     learner: LearnerConfig = LearnerConfig()
     ppo: PPOConfig = PPOConfig()
+    sac: SACConfig = SACConfig()
     evaluation: EvaluationConfig = EvaluationConfig()
 
     def __post_init__(self) -> None:
@@ -170,6 +207,14 @@ def _check_ranges(task: TaskConfig) -> None:
         "ppo.epochs": task.ppo.epochs,
         "ppo.minibatch": task.ppo.minibatch,
         "ppo.learning_rate": task.ppo.learning_rate,
+        "sac.worlds": task.sac.worlds,
+        "sac.steps_per_iteration": task.sac.steps_per_iteration,
+        "sac.replay_rows": task.sac.replay_rows,
+        "sac.batch": task.sac.batch,
+        "sac.updates_per_step": task.sac.updates_per_step,
+        "sac.n_step": task.sac.n_step,
+        "sac.learning_rate": task.sac.learning_rate,
+        "sac.initial_alpha": task.sac.initial_alpha,
         "evaluation.episodes": task.evaluation.episodes,
         "evaluation.every": task.evaluation.every,
         "evaluation.in_a_row": task.evaluation.in_a_row,
@@ -178,6 +223,9 @@ def _check_ranges(task: TaskConfig) -> None:
     shares = {
         "learner.gamma": task.learner.gamma,
         "ppo.gae_lambda": task.ppo.gae_lambda,
+        "sac.relabel_share": task.sac.relabel_share,
+        "sac.success_share": task.sac.success_share,
+        "sac.exploration_share": task.sac.exploration_share,
         "high_level.alpha": task.high_level.alpha,
         "high_level.epsilon": task.high_level.epsilon,
     }

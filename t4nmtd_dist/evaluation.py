@@ -86,11 +86,11 @@ class Evaluator:
         lengths, returns = np.zeros(count, np.int64), np.zeros(count)
         path = [int(q[0])]
         for _ in range(self._horizon):
-            actions = policy.actions(observations, q)
-            over |= actions < 0
+            actions, known = policy.actions(observations, q)
+            over |= ~known
             if over.all():
                 break
-            step = self._world.step(np.where(over, 0, actions))
+            step = self._world.step(actions)
             q_next = np.where(over, q, policy.dfa.delta[q, self._reader.letters(step.labels)]).astype(np.int32)
             returns += np.where(error[q_next], 0.0, policy.rho[q_next] - policy.rho[q])
             lengths += ~over

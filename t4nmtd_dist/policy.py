@@ -11,18 +11,17 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import torch
 from numpy.typing import NDArray
 from safetensors import SafetensorError
 from safetensors.numpy import load_file
-from torch import nn
 
 from t4nmtd_dist.automata.dfa import DFA
 from t4nmtd_dist.config import TaskConfig, task_config
 from t4nmtd_dist.decomposition import Decomposition
 from t4nmtd_dist.errors import ConfigError, PolicyError
 from t4nmtd_dist.high_level import QEntries
-from t4nmtd_dist.learners.networks import load_weights, mlp, product_state
+from t4nmtd_dist.learners.actors import Actions, make_actor
+from t4nmtd_dist.learners.networks import product_state
 from t4nmtd_dist.runs.exported import ACTORS_FILE, POLICY_FILE, POLICY_FORMAT
 from t4nmtd_dist.worlds import Observations
 
@@ -57,7 +56,7 @@ class GlobalPolicy:
             q_table,
             rho,
         )
-        self._actors = {pid: _actor(config.learner.hidden, weights) for pid, weights in actors.items()}
+        self._actors = {pid: make_actor(config.learner, weights) for pid, weights in actors.items()}
         self.subtask_of = self._choices()
         self._q = dfa.initial
         self._first = True
@@ -72,18 +71,24 @@ class GlobalPolicy:
                 chosen[q] = max(able, key=lambda pid: known.get((q, pid), -np.inf))
         return chosen
 
-    @torch.no_grad()
-    def actions(self, observations: Observations, q: NDArray[np.int32]) -> NDArray[np.int64]:
-        """Greedy actions int64 [N] at product states; -1 where no sub-task has an actor."""
-        actions = np.full(len(q), -1, dtype=np.int64)
+    def actions(self, observations: Observations, q: NDArray[np.int32]) -> tuple[Actions, NDArray[np.bool_]]:
+        """Greedy actions at product states, and for which of them a sub-task has an actor.
+
+        Returns:
+            int64 [N] or float32 [N, A], any valid action where there is no actor; bool [N].
+        """
+        known = np.zeros(len(q), np.bool_)
+        actions: Actions | None = None
         for state in np.unique(q):
             pid = self.subtask_of.get(int(state))
             if pid is None:
                 continue
             rows = q == state
-            logits = self._actors[pid](product_state(observations[rows], q[rows], self.dfa.states))
-            actions[rows] = logits.argmax(-1).numpy()
-        return actions
+            found = self._actors[pid].act(product_state(observations[rows], q[rows], self.dfa.states))
+            if actions is None:
+                actions = np.zeros((len(q), *found.shape[1:]), found.dtype)
+            actions[rows], known[rows] = found, True
+        return (np.zeros(len(q), np.int64) if actions is None else actions), known
 
     def reset(self) -> None:
         """Begin an episode: the DFA is in its initial state."""
@@ -94,8 +99,8 @@ class GlobalPolicy:
         """The DFA state now."""
         return self._q
 
-    def act(self, observation: NDArray[Any], labels: Iterable[str]) -> int:
-        """The action at one observation, after reading the labels that came with it.
+    def act(self, observation: NDArray[Any], labels: Iterable[str]) -> Any:
+        """The action at one observation, after reading the labels that came with it: a number, or an array [A].
 
         The labels of the first observation after ``reset`` are not read: a trace begins with the first step.
 
@@ -112,32 +117,21 @@ class GlobalPolicy:
             self._q = self.dfa.step(self._q, labels)
         self._first = False
         row = self._row(observation)
-        action = int(self.actions(row, np.array([self._q], np.int32))[0])
-        if action < 0:
+        actions, known = self.actions(row, np.array([self._q], np.int32))
+        if not known[0]:
             kind = "accepting" if self._q in self.dfa.accepting else "one for which nothing was learned"
             raise PolicyError(f"no action at DFA state {self._q}: it is {kind}; call reset() to begin an episode")
-        return action
+        return actions[0]
 
     def _row(self, observation: NDArray[Any]) -> Observations:
         row = np.asarray(observation, np.float32).reshape(1, -1)
-        sizes = {int(next(actor.parameters()).shape[1]) - self.dfa.states for actor in self._actors.values()}
+        sizes = {actor.inputs - self.dfa.states for actor in self._actors.values()}
         if sizes and row.shape[1] not in sizes:
             raise PolicyError(
                 f"an observation of {row.shape[1]} numbers, where the policy learned from {sizes.pop()}; "
                 "flatten a Discrete or Dict observation by t4nmtd_dist.environments.observations.flattener"
             )
         return row
-
-
-def _actor(hidden: tuple[int, ...], weights: Mapping[str, NDArray[Any]]) -> nn.Sequential:
-    own = {name.removeprefix("actor."): array for name, array in weights.items() if name.startswith("actor.")}
-    layers = sorted((name for name in own if name.endswith(".weight")), key=lambda name: int(name.split(".")[0]))
-    matrices = [own[name] for name in layers]
-    if not matrices:
-        raise PolicyError("an actor has no weights; the export is damaged or of another format")
-    actor = mlp(matrices[0].shape[1], hidden, matrices[-1].shape[0], last_gain=0.01)
-    load_weights(actor, own)
-    return actor
 
 
 def load(path: str | Path) -> GlobalPolicy:

@@ -66,7 +66,7 @@ def play(policy: GlobalPolicy, copy: EnvironmentCopy, seed: int) -> Iterator[Mom
         yield Moment(_frame(copy), labels, q, None if ended else policy.subtask_of[q], step, ended)
         if ended:
             return
-        done = copy.step(policy.actions(observation[None], np.array([q], np.int32))[0])
+        done = copy.step(policy.actions(observation[None], np.array([q], np.int32))[0][0])
         labels = frozenset(name for name, holds in zip(copy.propositions, done.labels, strict=True) if holds)
         observation, q = done.observation, policy.dfa.step(q, labels)
         if q not in policy.dfa.accepting:

@@ -64,7 +64,7 @@ def test_a_loaded_policy_acts_as_the_live_actors(
         live = learners[policy.subtask_of[state]].network.actor
         with torch.no_grad():
             expected.append(int(live(product_state(observations[[row]], states[[row]], 6)).argmax()))
-    assert policy.actions(observations, states).tolist() == expected
+    assert policy.actions(observations, states)[0].tolist() == expected
 
 
 def test_the_greedy_subtask_of_every_state_acts(exported: Path) -> None:
@@ -72,8 +72,8 @@ def test_the_greedy_subtask_of_every_state_acts(exported: Path) -> None:
     assert policy.subtask_of[START] == "p2"
     assert policy.subtask_of[CARRYING_2] == "g"
     assert set(policy.subtask_of) == {0, 1, 2, 4}
-    nothing = policy.actions(np.zeros((2, 83), np.float32), np.array([ACCEPTING, ERROR], np.int32))
-    assert nothing.tolist() == [-1, -1]
+    _, known = policy.actions(np.zeros((2, 83), np.float32), np.array([ACCEPTING, ERROR], np.int32))
+    assert known.tolist() == [False, False]
 
 
 def test_a_subtask_without_an_actor_is_not_chosen(learners: dict[str, PPOLearner]) -> None:
@@ -131,7 +131,7 @@ def test_any_number_of_layers_comes_back(hidden: str, tmp_path: Path) -> None:
     observations, q = np.ones((1, 83), np.float32), np.zeros(1, np.int32)
     with torch.no_grad():
         expected = int(learner.network.actor(product_state(observations, q, 6)).argmax())
-    assert load(tmp_path / "policy").actions(observations, q).tolist() == [expected]
+    assert load(tmp_path / "policy").actions(observations, q)[0].tolist() == [expected]
 
 
 def test_an_export_replaces_the_one_before_and_leaves_nothing_half_written(exported: Path, tmp_path: Path) -> None:

@@ -16,6 +16,7 @@ from hypothesis import example, given, settings
 from hypothesis import strategies as st
 from small_tasks import small_task
 
+from coordinator.doors import Access
 from coordinator.service import CoordinatorService
 from coordinator.state import CoordinatorState, RunSettings
 from t4nmtd_dist.errors import ConfigError, ProtocolError, RunError
@@ -191,7 +192,7 @@ class Running:
 
 def service_in(folder: Path, endpoints: tuple[str, str] = (FREE_PORT, FREE_PORT)) -> CoordinatorService:
     state = CoordinatorState(small_task(), RunSettings(seed=0, max_interactions=1000, boot_id="boot"))
-    return CoordinatorService(state, folder / "run", endpoints)
+    return CoordinatorService(state, folder / "run", Access(*endpoints))
 
 
 @pytest.fixture

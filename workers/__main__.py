@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import sys
 from dataclasses import dataclass, field
+from pathlib import Path
 from typing import Annotated
 
 import tyro
@@ -26,10 +27,16 @@ class WorkerCommand:
     """Seconds without any word from the coordinator after which to give up."""
     instance: str = ""
     """Name of this worker; one that claims again under the same name takes its own place over at once."""
-    host: str = "127.0.0.1"
-    """Address on which peers may ask this worker's critics."""
+    keys: Path | None = None
+    """Folder of this worker's keys, one of those made by `t4nmtd keys`; needed where the coordinator has keys."""
+    host: str = ""
+    """Address on which peers may ask this worker's critics; by default the one on the way to the coordinator."""
+    critic_port: int = 0
+    """Port for that; by default any free one."""
+    advertise: str = ""
+    """Name or address under which peers find this worker, if it is another one than --host."""
     insecure: bool = False
-    """Allow --host to be an address that other machines can reach."""
+    """Allow an address that other machines can reach without keys: on a trusted network only."""
     lifeline: int | None = None
     """End when the process of this number, which started this one, has ended (used by `t4nmtd train`)."""
 
@@ -73,6 +80,9 @@ def _work(command: WorkerCommand) -> int:
         instance=command.instance or default_instance(),
         wait_s=command.wait,
         critic_host=command.host,
+        critic_port=command.critic_port,
+        advertise=command.advertise,
+        keys=command.keys,
         insecure=command.insecure,
     )
     return Worker(options).run()

@@ -12,14 +12,18 @@ import sys
 import time
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from numpy.typing import NDArray
 
 from t4nmtd_dist.errors import ProtocolError
 from t4nmtd_dist.learners.peers import LocalPeers, NoPeers, PeerCritics
+from t4nmtd_dist.wire.addresses import critic_endpoints
 from t4nmtd_dist.wire.codec import Envelope
 from t4nmtd_dist.wire.critic_client import QueryPeers
+from t4nmtd_dist.wire.handshake import HandshakeMonitor, trouble
+from t4nmtd_dist.wire.keys import load_client
 from t4nmtd_dist.wire.messages import (
     EvaluationJob,
     EvaluationPoll,
@@ -58,7 +62,10 @@ class WorkerOptions:
     pids: Sequence[str]
     instance: str
     wait_s: float
-    critic_host: str = "127.0.0.1"
+    critic_host: str = ""
+    critic_port: int = 0
+    advertise: str = ""
+    keys: Path | None = None
     insecure: bool = False
 
 
@@ -72,13 +79,19 @@ class Worker:
 
     Args:
         options: how it was started.
+
+    Raises:
+        ConfigError: if an endpoint cannot be used.
+        KeyFileError: if the keys cannot be used.
     """
 
     def __init__(self, options: WorkerOptions) -> None:
         self._options = options
         self._context = new_context()
-        self._control = connect(self._context, options.coordinator)
-        self._critics = CriticService(self._context, options.critic_host, insecure=options.insecure)
+        self._keys = None if options.keys is None else load_client(options.keys)
+        self._critics = self._serve_critics()
+        self._control = connect(self._context, options.coordinator, self._keys)
+        self._handshakes = HandshakeMonitor(self._control)
         self._state = WorkerState(
             options.role,
             options.instance,
@@ -97,7 +110,16 @@ class Worker:
         self._poll_due = 0.0
         self._turn_began = time.monotonic()
         self._exit: Exit | None = None
+        self._told: set[str] = set()
         self._interrupted = False
+
+    def _serve_critics(self) -> CriticService:
+        options = self._options
+        endpoint, told = critic_endpoints(
+            options.coordinator, options.critic_host, options.critic_port, options.advertise
+        )
+        own = None if self._keys is None else self._keys.own
+        return CriticService(self._context, endpoint, advertise=told, insecure=options.insecure, own=own, tell=say)
 
     def run(self) -> int:
         """Work until the run is over (exit code 0), nothing can be done (2), or a signal says stop (130)."""
@@ -118,6 +140,7 @@ class Worker:
     def _turn(self) -> None:
         self._open_sessions()
         busy = self._learn()
+        self._watch_connection()
         self._hear(0.0 if busy else IDLE_POLL_S)
         now = time.monotonic()
         if self._waiting or now - self._turn_began > LONG_TURN_S:
@@ -130,6 +153,16 @@ class Worker:
             if sync is not None:
                 self._send(sync.message, sync.arrays)
         self._poll_evaluation(now)
+
+    def _watch_connection(self) -> None:
+        """Give up when the coordinator will not talk to this worker; tell what else keeps a connection away, once."""
+        while (outcome := self._handshakes.next()) is not None:
+            text = trouble(outcome, self._options.coordinator, self._keys)
+            if text is not None and outcome != "broken":
+                self._exit = Exit(2, text)
+            elif text is not None and text not in self._told:
+                self._told.add(text)
+                say(text)
 
     def _learn(self) -> bool:
         """One roll-out of every learner that can start; False if none can."""
@@ -174,6 +207,7 @@ class Worker:
         peers = self._peers[reply.pid]
         if isinstance(peers, QueryPeers):
             peers.set_peers(session.peers)
+        self._critics.allow(peer.key for held in self._sessions.values() for peer in held.peers.values())
 
     def _poll_evaluation(self, now: float) -> None:
         if self._evaluation is not None and now >= self._poll_due:
@@ -228,7 +262,7 @@ class Worker:
     def _peers_of(self, session: LearnerSession) -> QueryPeers | LocalPeers | NoPeers:
         if session.intervention == "off":
             return NoPeers()
-        return QueryPeers(self._context, f"{self._options.instance}/{session.pid}")
+        return QueryPeers(self._context, f"{self._options.instance}/{session.pid}", self._keys)
 
     def _end(self, pid: str) -> None:
         self._waiting.pop(pid, None)
@@ -244,6 +278,7 @@ class Worker:
             self._send(Release(pid=pid, epoch=epoch))
             self._end(pid)
         self._critics.close()
+        self._handshakes.close()
         self._control.close(200)
         self._context.term()
 

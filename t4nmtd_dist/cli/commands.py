@@ -8,8 +8,9 @@ from typing import Annotated, Literal
 
 import tyro
 
+from t4nmtd_dist.cli.key_commands import Keys
 from t4nmtd_dist.cli.options import RunOptions
-from t4nmtd_dist.wire.endpoints import DEFAULT_STATE
+from t4nmtd_dist.wire.endpoints import CONTROL_PORT, DEFAULT_CONTROL, DEFAULT_STATE, STATE_PORT, complete_endpoint
 
 
 @dataclass(frozen=True)
@@ -20,12 +21,14 @@ class Train(RunOptions):
     """Show nothing until the end."""
     serial: bool = False
     """One process, in lock-step, bit-reproducible from the seed; for debugging."""
+    keys: Path | None = None
+    """Folder made by `t4nmtd keys new`: keeps other users of this machine out; not needed otherwise."""
 
     def run(self) -> int:
         """Train."""
         from t4nmtd_dist.cli.train import train, train_serial
 
-        return train_serial(self) if self.serial else train(self, dashboard=not self.no_dashboard)
+        return train_serial(self) if self.serial else train(self, dashboard=not self.no_dashboard, keys=self.keys)
 
 
 @dataclass(frozen=True)
@@ -166,7 +169,9 @@ class Dashboard:
     """Attach a live dashboard to a running coordinator."""
 
     connect: str = DEFAULT_STATE
-    """Endpoint on which the coordinator publishes its state."""
+    """Endpoint on which the coordinator publishes its state; HOST alone will do."""
+    keys: Path | None = None
+    """Folder of a client's keys, where the coordinator has keys."""
     wait: float = 60.0
     """Seconds without any state after which to give up."""
     svg: Path | None = None
@@ -180,9 +185,51 @@ class Dashboard:
         """Watch."""
         from t4nmtd_dist.cli.dashboard import follow, save_picture
 
+        endpoint = complete_endpoint(self.connect, STATE_PORT)
         if self.svg is not None:
-            return save_picture(self.connect, self.wait, self.svg, self.width, self.height)
-        return follow(self.connect, self.wait)
+            return save_picture(endpoint, self.wait, self.svg, self.width, self.height, keys=self.keys)
+        return follow(endpoint, self.wait, keys=self.keys)
 
 
-Command = Train | Evaluate | Record | Inspect | Check | Tasks | Dashboard
+@dataclass(frozen=True)
+class Status:
+    """Ask a coordinator how its run is (exit code 1: no answer)."""
+
+    connect: str = DEFAULT_CONTROL
+    """Endpoint on which the coordinator hears workers; HOST alone will do."""
+    keys: Path | None = None
+    """Folder of a client's keys, where the coordinator has keys."""
+    check: bool = False
+    """Print nothing if all is well; for health checks."""
+    as_json: Annotated[bool, tyro.conf.arg(name="json")] = False
+    """Print JSON for machines."""
+    wait: float = 5.0
+    """Seconds to wait for an answer."""
+
+    def run(self) -> int:
+        """Ask."""
+        from t4nmtd_dist.cli.status import show_status
+
+        endpoint = complete_endpoint(self.connect, CONTROL_PORT)
+        return show_status(endpoint, self.keys, self.wait, check=self.check, as_json=self.as_json)
+
+
+@dataclass(frozen=True)
+class Doctor:
+    """Find out why a coordinator cannot be reached: name, port, key, protocol version, clock, round trip."""
+
+    connect: str = DEFAULT_CONTROL
+    """The coordinator's endpoint, or its HOST alone."""
+    keys: Path | None = None
+    """Folder of a client's keys, where the coordinator has keys."""
+    wait: float = 3.0
+    """Seconds to wait for each answer."""
+
+    def run(self) -> int:
+        """Examine."""
+        from t4nmtd_dist.cli.doctor import examine
+
+        return examine(complete_endpoint(self.connect, CONTROL_PORT), self.keys, self.wait)
+
+
+Command = Train | Evaluate | Record | Inspect | Check | Tasks | Dashboard | Keys | Status | Doctor

@@ -7,19 +7,22 @@ from pathlib import Path
 from coordinator.dashboard import export_svg
 from coordinator.viewer import watch
 from t4nmtd_dist.errors import RunError
+from t4nmtd_dist.wire.keys import load_client
 from t4nmtd_dist.wire.messages import DashboardState
 from t4nmtd_dist.wire.sockets import new_context, receive, subscribe
 
 
-def follow(endpoint: str, wait_s: float) -> int:
+def follow(endpoint: str, wait_s: float, *, keys: Path | None = None) -> int:
     """Show the dashboard until the run is over.
 
     Raises:
-        RunError: if nothing is published there for ``wait_s``.
+        RunError: if nothing is published there for ``wait_s``, or not for us.
+        KeyFileError: if the keys cannot be used.
     """
     context = new_context()
     try:
-        last = watch(context, endpoint, keep_going=lambda: True, silence_s=wait_s)
+        own = None if keys is None else load_client(keys)
+        last = watch(context, endpoint, keep_going=lambda: True, keys=own, silence_s=wait_s)
     finally:
         context.term()
     if last is None:
@@ -27,14 +30,15 @@ def follow(endpoint: str, wait_s: float) -> int:
     return 0
 
 
-def save_picture(endpoint: str, wait_s: float, path: Path, width: int, height: int) -> int:
+def save_picture(endpoint: str, wait_s: float, path: Path, width: int, height: int, *, keys: Path | None = None) -> int:
     """Write the next published state as an SVG picture.
 
     Raises:
         RunError: if nothing is published there for ``wait_s``.
     """
+    own = None if keys is None else load_client(keys)
     context = new_context()
-    socket = subscribe(context, endpoint)
+    socket = subscribe(context, endpoint, own)
     try:
         envelope = receive(socket, wait_s)
     finally:

@@ -15,6 +15,7 @@ from t4nmtd_dist.environments.preparation import prepared, slowness
 from t4nmtd_dist.errors import RunError
 from t4nmtd_dist.launch.local import LocalProcesses
 from t4nmtd_dist.runs.directory import RunDirectory, read_summary
+from t4nmtd_dist.wire.keys import ClientKeys, load_client
 
 SOLVED, BUDGET_SPENT, STOPPED = 0, 3, 130
 LAST_STATE_S = 4.0
@@ -33,10 +34,11 @@ class _Interrupted:
         self.seen = True
 
 
-def train(options: RunOptions, *, dashboard: bool) -> int:
+def train(options: RunOptions, *, dashboard: bool, keys: Path | None = None) -> int:
     """Train with local processes; the exit code: 0 solved, 3 budget spent, 130 interrupted.
 
     Raises:
+        KeyFileError: if the keys cannot be used.
         RunError: if the coordinator or a worker cannot go on.
     """
     config = options.load()
@@ -44,12 +46,14 @@ def train(options: RunOptions, *, dashboard: bool) -> int:
     directory = RunDirectory(options.directory(config.name), restart=options.restart).path
     interrupted = _Interrupted()
     processes = LocalProcesses(directory)
+    own = None if keys is None else load_client(keys)
+    secured = [] if keys is None else ["--keys", str(keys.absolute())]
     try:
-        control, publish = processes.start_coordinator(_coordinator_arguments(options))
+        control, publish = processes.start_coordinator([*_coordinator_arguments(options), *secured])
         for pid in task.decomposition.pids:
-            processes.start_worker(pid.replace("~", "not-"), ["--pid", pid, "--connect", control])
-        processes.start_worker("evaluator", ["--evaluate", "--connect", control])
-        _watch(processes, publish, interrupted, dashboard)
+            processes.start_worker(pid.replace("~", "not-"), ["--pid", pid, "--connect", control, *secured])
+        processes.start_worker("evaluator", ["--evaluate", "--connect", control, *secured])
+        _watch(processes, publish, interrupted, dashboard, own)
         if interrupted.seen:
             processes.interrupt()
         code = processes.coordinator_exit_code(LAST_STATE_S)
@@ -83,7 +87,9 @@ def _coordinator_arguments(options: RunOptions) -> list[str]:
     return arguments
 
 
-def _watch(processes: LocalProcesses, publish: str, interrupted: _Interrupted, dashboard: bool) -> None:
+def _watch(
+    processes: LocalProcesses, publish: str, interrupted: _Interrupted, dashboard: bool, keys: ClientKeys | None
+) -> None:
     def keep_going() -> bool:
         return processes.check() and not interrupted.seen
 
@@ -92,7 +98,7 @@ def _watch(processes: LocalProcesses, publish: str, interrupted: _Interrupted, d
         from t4nmtd_dist.wire.sockets import new_context
 
         context = new_context()
-        watch(context, publish, keep_going=keep_going)
+        watch(context, publish, keep_going=keep_going, keys=keys)
         context.term()
     else:
         while keep_going():

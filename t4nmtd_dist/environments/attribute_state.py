@@ -67,6 +67,8 @@ class _Writer:
         self._nodes += 1
         if self._nodes > MOST_NODES:
             raise CannotRestoreError(f"the state has more than {MOST_NODES} parts")
+        if type(value) in _PLAIN:
+            return value
         if isinstance(value, np.ndarray | np.generic):
             return _write_numbers(value)
         if isinstance(value, Enum):
@@ -82,11 +84,11 @@ class _Writer:
     def _write_parts(self, value: Any) -> Any:
         """Containers: wherever they are met, but not inside themselves. Objects: where they are met first."""
         self._seen.add(id(value))
-        for kind, write in _WRITERS.items():
-            if isinstance(value, kind):
-                code = write(self, value)
-                self._seen.discard(id(value))
-                return code
+        write = _WRITERS.get(type(value)) or _inherited_writer(value)
+        if write is not None:
+            code = write(self, value)
+            self._seen.discard(id(value))
+            return code
         if hasattr(value, "__dict__") and not callable(value):
             return ["o", self._pairs(vars(value))]
         return _OPAQUE_CODE
@@ -133,6 +135,10 @@ _WRITERS: dict[type, Callable[[_Writer, Any], Any]] = {
     np.random.RandomState: _Writer._random_state,
     random.Random: _Writer._python_random,
 }
+
+
+def _inherited_writer(value: Any) -> Callable[[_Writer, Any], Any] | None:
+    return next((write for kind, write in _WRITERS.items() if isinstance(value, kind)), None)
 
 
 def _write_numbers(value: Any) -> Any:

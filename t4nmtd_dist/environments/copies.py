@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from gymnasium import spaces
@@ -18,8 +17,7 @@ from t4nmtd_dist.environments.snapshots import make_snapshots
 from t4nmtd_dist.errors import WorldError
 
 
-@dataclass(frozen=True)
-class CopyStep:
+class CopyStep(NamedTuple):
     """One step: observation float32 [d], labels bool [P], and whether the episode ended or was cut."""
 
     observation: Vector

@@ -30,21 +30,33 @@ class LabelReader:
         self.propositions = tuple(propositions)
         self.source = config.labels or REPORTED
         self._known = frozenset(self.propositions)
+        self._rows: dict[frozenset[str], NDArray[np.bool_]] = {}
         self._function: Callable[[Any, dict[str, Any]], Any] | None = None
         if config.labels:
             self._function = import_function(config.labels, config, "environment.labels")
 
-    def names(self, observation: Any, info: dict[str, Any]) -> frozenset[str]:
-        """Names of the true propositions.
+    def row(self, observation: Any, info: dict[str, Any]) -> NDArray[np.bool_]:
+        """The true propositions as bool [P], in the order of ``propositions``.
 
         Args:
             observation: as the environment gave it.
             info: likewise.
 
+        Returns:
+            An array that is not for writing: the same set gives the same one.
+
         Raises:
             WorldError: if the function raises, or what comes is not a set of declared names.
         """
         found = self._found(observation, info)
+        row = self._rows.get(found) if isinstance(found, frozenset) else None
+        if row is None:
+            names = self._checked(found)
+            row = self._rows[names] = np.array([name in names for name in self.propositions], dtype=np.bool_)
+            row.flags.writeable = False
+        return row
+
+    def _checked(self, found: Any) -> frozenset[str]:
         if isinstance(found, str | bytes) or not isinstance(found, Iterable):
             raise WorldError(f"{self.source} gave {found!r}; expected a set of names out of {self._declared}")
         try:
@@ -58,11 +70,6 @@ class LabelReader:
                 f"propositions declares {self._declared}: add it there, or do not report it"
             )
         return names
-
-    def row(self, observation: Any, info: dict[str, Any]) -> NDArray[np.bool_]:
-        """The true propositions as bool [P], in the order of ``propositions``; raises as ``names`` does."""
-        names = self.names(observation, info)
-        return np.array([name in names for name in self.propositions], dtype=np.bool_)
 
     def _found(self, observation: Any, info: dict[str, Any]) -> Any:
         if self._function is None:

@@ -31,6 +31,9 @@ class AttemptStep:
         changed: the DFA moved to another state.
         terminal: F, E or an environment that ended: the critic's value of s' is 0.
         ended: the attempt is over; the copy has begun another.
+        letters: what the DFA read, int64 [N].
+        terminated: the environment ended.
+        reached: a target was reached.
     """
 
     reward: NDArray[np.float64]
@@ -39,6 +42,9 @@ class AttemptStep:
     changed: Mask
     terminal: Mask
     ended: Mask
+    letters: NDArray[np.int64]
+    terminated: Mask
+    reached: Mask
 
 
 @dataclass
@@ -153,7 +159,8 @@ class Attempts:
         self.interactions += self._world.count
         self._steps += 1
         self._steps_in_q += 1
-        q_next = self._delta[q, self._reader.letters(world_step.labels)]
+        letters = self._reader.letters(world_step.labels)
+        q_next = self._delta[q, letters]
         changed = q_next != q
         reached = tables.target[q, q_next]
         terminal = tables.terminal[q_next] | world_step.terminated
@@ -161,8 +168,18 @@ class Attempts:
         timed_out = world_step.truncated | (self._steps >= self._attempt_steps)
         ended = reached | terminal | stranded | timed_out
         reward = tables.reward[q, q_next] - np.where(world_step.terminated, tables.kept_potential[q_next], 0.0)
-        result = AttemptStep(reward, world_step.observations.copy(), q_next, changed, terminal, ended)
-        self._note(result, reached)
+        result = AttemptStep(
+            reward=reward,
+            next_observations=world_step.observations.copy(),
+            q_next=q_next,
+            changed=changed,
+            terminal=terminal,
+            ended=ended,
+            letters=letters,
+            terminated=world_step.terminated,
+            reached=reached,
+        )
+        self._note(result)
         self.observations[:] = world_step.observations
         self.q = q_next.copy()  # restarts write into it; the experience keeps its own
         self._steps_in_q[changed] = 0
@@ -170,7 +187,7 @@ class Attempts:
             self._start(np.flatnonzero(ended))
         return result
 
-    def _note(self, step: AttemptStep, reached: Mask) -> None:
+    def _note(self, step: AttemptStep) -> None:
         told = step.changed | step.ended
         if not told.any():
             return
@@ -180,10 +197,10 @@ class Attempts:
             reward = float(step.reward[row]) if counts[row] else 0.0
             self.progress.changes.append((int(self.q[row]), q_next, int(self._steps_in_q[row]), reward))
         for row in np.flatnonzero(step.ended):
-            self._recent.append((bool(reached[row]), int(self._steps[row])))
+            self._recent.append((bool(step.reached[row]), int(self._steps[row])))
         self.attempts += int(step.ended.sum())
-        self.successes += int(reached.sum())
-        handed = np.flatnonzero((step.changed if self._hand_over_all else reached) & ~step.terminal)
+        self.successes += int(step.reached.sum())
+        handed = np.flatnonzero((step.changed if self._hand_over_all else step.reached) & ~step.terminal)
         if len(handed):
             states = self._world.snapshot(handed)
             self.progress.starts += [(int(step.q_next[r]), s) for r, s in zip(handed, states, strict=True)]

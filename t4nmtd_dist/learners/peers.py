@@ -33,10 +33,18 @@ class InterventionCounts:
 
 @dataclass(frozen=True)
 class PeerValues:
-    """Answers: ``values[i]`` belongs to row ``rows[i]`` of what was asked; rows without an answer are absent."""
+    """Answers: ``values[i]`` belongs to row ``rows[i]`` of what was asked; rows without an answer are absent.
+
+    A value is a number (PPO: V), or a pair (SAC: min of the target critics, log pi).
+    """
 
     rows: NDArray[np.int64]
     values: Values
+
+
+def joined(values: list[Values]) -> Values:
+    """Answers one after the other; float32 [0] if there are none."""
+    return np.concatenate(values) if values else np.empty(0, np.float32)
 
 
 class PeerCritics(Protocol):
@@ -95,7 +103,7 @@ class LocalPeers:
         rows = [row for questions in asked.values() for row, _, _ in questions]
         values = [self._evaluate(pid, questions) for pid, questions in asked.items()]
         self.counts.answered += len(rows)
-        return PeerValues(np.array(rows, np.int64), np.concatenate([np.empty(0, np.float32), *values]))
+        return PeerValues(np.array(rows, np.int64), joined(values))
 
     def _evaluate(self, pid: str, questions: list[tuple[int, NDArray[np.float32], int]]) -> Values:
         observations = np.stack([observation for _, observation, _ in questions])

@@ -29,6 +29,10 @@ class AllowedKeys:
     def __contains__(self, key: object) -> bool:
         return key in self._names
 
+    def all(self) -> frozenset[str]:
+        """All allowed keys."""
+        return frozenset(self._names)
+
     def name(self, key: str) -> str:
         """What to call a key: its name on the list, or its first characters."""
         return self._names.get(key) or f"{key[:8]}…"

@@ -12,8 +12,9 @@ import zmq
 from numpy.typing import NDArray
 
 from t4nmtd_dist.errors import ConfigError, ProtocolError
-from t4nmtd_dist.learners.peers import InterventionCounts, PeerValues
+from t4nmtd_dist.learners.peers import InterventionCounts, PeerValues, joined
 from t4nmtd_dist.wire.codec import Envelope, decode
+from t4nmtd_dist.wire.keys import ClientKeys
 from t4nmtd_dist.wire.messages import Peer, ValueReply, ValueRequest
 from t4nmtd_dist.wire.sockets import Context, Socket, connect, send
 
@@ -21,6 +22,7 @@ ROWS_PER_REQUEST = 64
 REQUESTS_IN_FLIGHT = 4
 DEADLINE_S = 0.2
 MISSES_UNTIL_NO_WAIT = 3
+HANDSHAKE_MS = 2000  # a peer that does not know of us yet stays silent; ask again then
 
 Question = tuple[int, NDArray[np.float32], int]
 
@@ -46,10 +48,11 @@ class QueryPeers:
     Args:
         context: the process's ZeroMQ context.
         sender: the name that requests carry.
+        keys: this worker's own, if the coordinator has keys; each peer's public key comes with its address.
     """
 
-    def __init__(self, context: Context, sender: str) -> None:
-        self._context, self._sender = context, sender
+    def __init__(self, context: Context, sender: str, keys: ClientKeys | None = None) -> None:
+        self._context, self._sender, self._keys = context, sender, keys
         self._lines: dict[str, _Line] = {}
         self._next_id = 0
         self._answers: list[tuple[list[int], NDArray[np.float32]]] = []
@@ -62,13 +65,20 @@ class QueryPeers:
             self._lines.pop(pid).socket.close(0)
         for pid, peer in peers.items():
             line = self._lines.get(pid)
-            if line is not None and line.peer.endpoint == peer.endpoint:
+            if line is not None and (line.peer.endpoint, line.peer.key) == (peer.endpoint, peer.key):
                 line.peer = peer
                 continue
             if line is not None:
                 self._lines.pop(pid).socket.close(0)
             with suppress(ConfigError):  # a peer without a usable address counts as away
-                self._lines[pid] = _Line(peer, connect(self._context, peer.endpoint))
+                self._lines[pid] = _Line(peer, self._connect(peer))
+
+    def _connect(self, peer: Peer) -> Socket:
+        if self._keys is None:
+            return connect(self._context, peer.endpoint)
+        if not peer.key:
+            raise ConfigError("a peer without a key is not asked while this worker has keys")
+        return connect(self._context, peer.endpoint, self._keys.to(peer.key), handshake_ms=HANDSHAKE_MS)
 
     def close(self) -> None:
         """Close all connections."""
@@ -111,7 +121,7 @@ class QueryPeers:
         self.counts.own_used += self._asked_now - len(rows)
         self._asked_now = 0
         values = [values for _, values in answers]
-        return PeerValues(np.array(rows, np.int64), np.concatenate([np.empty(0, np.float32), *values]))
+        return PeerValues(np.array(rows, np.int64), joined(values))
 
     def _drain(self, line: _Line, deadline: float) -> None:
         while True:
@@ -132,7 +142,7 @@ class QueryPeers:
             line.misses = min(line.misses, MISSES_UNTIL_NO_WAIT - 1)  # it answers again: wait for it once more
             return
         values = envelope.arrays.get("value")
-        if not isinstance(reply, ValueReply) or values is None or values.shape != (len(rows),):
+        if not isinstance(reply, ValueReply) or values is None or values.shape not in ((len(rows),), (len(rows), 2)):
             return
         if values.dtype != np.float32 or not np.isfinite(values).all():
             return

@@ -6,6 +6,7 @@ from t4nmtd_dist.errors import ConfigError
 
 DEFAULT_CONTROL = "tcp://127.0.0.1:5570"
 DEFAULT_STATE = "tcp://127.0.0.1:5571"
+CONTROL_PORT, STATE_PORT = 5570, 5571
 
 
 def check_endpoint(endpoint: str) -> None:
@@ -20,3 +21,16 @@ def check_endpoint(endpoint: str) -> None:
     name = host[1:-1].replace(":", "0") if host[:1] + host[-1:] == "[]" else host
     if scheme != "tcp" or not port_fits or not name or not name.isprintable() or set(name) & set(":[]/ "):
         raise ConfigError(f"endpoint {endpoint!r}: expected tcp://HOST:PORT, for instance {DEFAULT_CONTROL}")
+
+
+def complete_endpoint(text: str, port: int) -> str:
+    """``tcp://HOST:PORT`` from that, from ``HOST:PORT``, or from ``HOST`` alone with the usual port.
+
+    Raises:
+        ConfigError: if it can be none of these.
+    """
+    endpoint = text if "://" in text else f"tcp://{text}"
+    if ":" not in endpoint.partition("://")[2]:
+        endpoint += f":{port}"
+    check_endpoint(endpoint)
+    return endpoint

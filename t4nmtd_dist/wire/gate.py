@@ -116,9 +116,7 @@ class Gate:
             if connection.key not in self._allowed:
                 del self._connections[number]
                 if connection.end():
-                    self._notices.once(
-                        f"ended the connection of key {connection.key}, which is no longer allowed"
-                    )
+                    self._notices.once(f"ended the connection of key {connection.key}, which is no longer allowed")
 
     def _within_rate(self, peer: bytes, key: str, size: int) -> bool:
         if self._rates.allows(peer, size):

@@ -7,6 +7,7 @@ from typing import Literal
 import zmq
 from zmq.utils.monitor import recv_monitor_message
 
+from t4nmtd_dist.wire.keys import ClientKeys
 from t4nmtd_dist.wire.sockets import Socket
 
 Outcome = Literal["connected", "agreed", "refused", "mechanism", "broken", "ended"]
@@ -60,3 +61,30 @@ class HandshakeMonitor:
 
 def _is_protocol(event: int) -> bool:
     return event == zmq.EVENT_HANDSHAKE_FAILED_PROTOCOL
+
+
+def trouble(outcome: Outcome | None, endpoint: str, keys: ClientKeys | None) -> str | None:
+    """Why a coordinator cannot be talked to, and what to do; None while nothing is wrong.
+
+    Args:
+        outcome: what became of the connection.
+        endpoint: of the coordinator.
+        keys: what this side connects with.
+    """
+    if outcome == "refused" and keys is not None:
+        return (
+            f"the coordinator at {endpoint} refused the key of {keys.own.name} ({keys.own.public}): it is not on its "
+            "list, or was taken off; there, `t4nmtd keys list DIR` shows the list and `t4nmtd keys add` adds to it"
+        )
+    if outcome == "mechanism" and keys is None:
+        return f"the coordinator at {endpoint} takes only clients with keys; pass --keys DIR (docs/security.md)"
+    if outcome == "mechanism":
+        return f"what listens at {endpoint} has no keys; start it with --keys if it is the right one, or leave them out"
+    if outcome == "broken" and keys is not None:
+        return (
+            f"no connection could be agreed upon with {endpoint}: its key is not {keys.server}, "
+            "as coordinator.public in the --keys folder says, or it is not a control port"
+        )
+    if outcome == "broken":
+        return f"no connection could be agreed upon with {endpoint}: it needs --keys, or is not a control port"
+    return None

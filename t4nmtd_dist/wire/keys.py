@@ -66,8 +66,10 @@ def new_pair(name: str) -> KeyPair:
     """
     if not NAME.fullmatch(name):
         raise KeyFileError(f"{name!r} cannot name a key: expected letters, digits, dots, hyphens and underscores")
-    public, secret = zmq.curve_keypair()
-    return KeyPair(name, public.decode(), secret.decode())
+    while True:
+        public, secret = zmq.curve_keypair()
+        if public[:1].isalnum():  # no command line takes it for an option
+            return KeyPair(name, public.decode(), secret.decode())
 
 
 def load_client(folder: Path) -> ClientKeys:

@@ -102,11 +102,15 @@ class Sync(Message, frozen=True, tag="sync"):
 
 
 class Peer(Message, frozen=True):
-    """Where a peer's critic answers, and the newest version of its weights that the coordinator knows."""
+    """Where a peer's critic answers, and the newest version of its weights that the coordinator knows.
+
+    ``key`` is the public key by which the peer is known; empty where the coordinator has no keys.
+    """
 
     endpoint: str
     version: int
     epoch: int
+    key: str = ""
 
 
 class SyncReply(Message, frozen=True, tag="sync_reply"):
@@ -165,6 +169,10 @@ class Shutdown(Message, frozen=True, tag="shutdown"):
     """Launcher -> coordinator: end the run cleanly now."""
 
     reason: str
+
+
+class StatusRequest(Message, frozen=True, tag="status_request"):
+    """Anyone -> coordinator: how is the run? Changes nothing."""
 
 
 class Failure(Message, frozen=True, tag="failure"):
@@ -233,6 +241,27 @@ class EventLine(Message, frozen=True):
     text: str
 
 
+class Status(Message, frozen=True, tag="status"):
+    """Coordinator -> who asked. ``clock`` is in seconds of Unix time, ``boot_id`` names this start."""
+
+    program: str
+    boot_id: str
+    clock: float
+    task: str
+    seed: int
+    run_dir: str
+    phase: RunPhase
+    elapsed_s: float
+    interactions: int
+    max_interactions: int
+    success_rate: float | None
+    solved_in_a_row: int
+    solved_needed: int
+    evaluator: str
+    learners: list[LearnerRow]
+    critics: dict[str, str]
+
+
 class DashboardState(Message, frozen=True, tag="dashboard_state"):
     """Coordinator -> dashboards: the full state, so that any one message is enough to draw all."""
 
@@ -271,6 +300,8 @@ KINDS: dict[str, type[Message]] = {
         EvaluationReport,
         Goodbye,
         Shutdown,
+        StatusRequest,
+        Status,
         Failure,
         ValueRequest,
         ValueReply,

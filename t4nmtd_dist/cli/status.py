@@ -1,0 +1,67 @@
+"""``t4nmtd status``: how a coordinator's run is."""
+
+from __future__ import annotations
+
+import json
+import sys
+from pathlib import Path
+
+import msgspec
+
+from t4nmtd_dist.errors import ProtocolError, RunError
+from t4nmtd_dist.wire.inquiry import ask_status
+from t4nmtd_dist.wire.keys import load_client
+from t4nmtd_dist.wire.messages import LearnerRow, Status
+from t4nmtd_dist.wire.sockets import new_context
+
+HEALTHY, SICK = 0, 1
+
+
+def show_status(endpoint: str, keys: Path | None, wait_s: float, *, check: bool, as_json: bool) -> int:
+    """Print a coordinator's status.
+
+    Args:
+        endpoint: where it hears workers.
+        keys: folder of a client's keys.
+        wait_s: seconds to wait for an answer.
+        check: print nothing but what is wrong.
+        as_json: print JSON instead of lines for people.
+
+    Returns:
+        0 if the coordinator answered, else 1.
+
+    Raises:
+        ConfigError: if the endpoint is malformed.
+        KeyFileError: if the keys cannot be used.
+    """
+    own = None if keys is None else load_client(keys)
+    context = new_context()
+    try:
+        status = ask_status(context, endpoint, own, wait_s)
+    except (RunError, ProtocolError) as error:
+        print(f"t4nmtd status: {error}", file=sys.stderr)
+        return SICK
+    finally:
+        context.term()
+    if as_json:
+        print(json.dumps({key: value for key, value in msgspec.to_builtins(status).items() if key != "type"}))
+    elif not check:
+        print(_page(status))
+    return HEALTHY
+
+
+def _page(status: Status) -> str:
+    success = "none yet" if status.success_rate is None else f"{status.success_rate:.0%}"
+    lines = [
+        f"{status.task} seed {status.seed}: {status.phase} for {status.elapsed_s:.0f} s, "
+        f"{status.interactions} of {status.max_interactions} interactions",
+        f"last evaluation: {success}, perfect in a row: {status.solved_in_a_row} of {status.solved_needed}",
+        *(_learner(row) for row in status.learners),
+        f"evaluator: {status.evaluator or 'none'}",
+    ]
+    return "\n".join(lines)
+
+
+def _learner(row: LearnerRow) -> str:
+    age = "" if row.heartbeat_age_s is None else f", heard {row.heartbeat_age_s:.1f} s ago"
+    return f"{row.pid}: {row.phase}, {row.worker or 'no worker'}, {row.interactions} interactions{age}"

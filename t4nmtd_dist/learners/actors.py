@@ -1,0 +1,87 @@
+"""Deterministic actors, rebuilt from exported weights: arg max of a categorical, or the mode of a squashed Gaussian."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any, Protocol
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor
+
+from t4nmtd_dist.config import LearnerConfig
+from t4nmtd_dist.errors import PolicyError
+from t4nmtd_dist.learners.networks import Weights, load_weights, mlp
+
+Actions = NDArray[Any]
+
+
+class Actor(Protocol):
+    """Acts greedily at product states."""
+
+    inputs: int
+
+    def act(self, states: Tensor) -> Actions:
+        """Actions of product states [N, inputs]: int64 [N], or float32 [N, A] within the action space's bounds."""
+
+
+class CategoricalActor:
+    """The actor of PPO: the most likely action."""
+
+    def __init__(self, hidden: tuple[int, ...], weights: Weights) -> None:
+        names = (name for name in weights if name.endswith(".weight"))
+        matrices = [weights[name] for name in sorted(names, key=lambda name: int(name.split(".")[0]))]
+        if not matrices:
+            raise PolicyError("an actor has no weights; the export is damaged or of another format")
+        self.inputs = int(matrices[0].shape[1])
+        self._network = mlp(self.inputs, hidden, matrices[-1].shape[0], last_gain=0.01)
+        load_weights(self._network, weights)
+
+    @torch.no_grad()
+    def act(self, states: Tensor) -> Actions:
+        """See ``Actor.act``."""
+        actions: Actions = self._network(states).argmax(-1).numpy()
+        return actions
+
+
+class GaussianActor:
+    """The actor of SAC: the mode of its squashed Gaussian, scaled to the action space (``low``, ``high``)."""
+
+    def __init__(self, hidden: tuple[int, ...], weights: Weights) -> None:
+        from t4nmtd_dist.learners.sac_networks import Stack, StackShape
+
+        own = dict(weights)
+        missing = [name for name in ("low", "high", "0.weight") if name not in own]
+        if missing:
+            raise PolicyError(f"an actor has no {missing[0]}; the export is damaged or of another format")
+        self._low, self._high = own.pop("low"), own.pop("high")
+        self.inputs = int(own["0.weight"].shape[1])
+        self._stack = Stack(StackShape(1, self.inputs, hidden, 2 * len(self._low), layer_norm=False))
+        self._stack.load(own)
+
+    @torch.no_grad()
+    def act(self, states: Tensor) -> Actions:
+        """See ``Actor.act``."""
+        from t4nmtd_dist.learners.sac_networks import Activations, evaluate
+        from t4nmtd_dist.learners.squashed_gaussian import deterministic_actions
+
+        room = Activations(self._stack.shape, len(states))
+        mode = deterministic_actions(evaluate(self._stack.layers, states, room)[0]).t().numpy()
+        return scaled(mode, self._low, self._high)
+
+
+def scaled(actions: NDArray[np.float32], low: NDArray[np.float32], high: NDArray[np.float32]) -> NDArray[np.float32]:
+    """Actions [N, A] in [-1, 1] stretched to [low, high]."""
+    stretched: NDArray[np.float32] = np.clip(low + (actions + 1.0) * 0.5 * (high - low), low, high).astype(np.float32)
+    return stretched
+
+
+def make_actor(config: LearnerConfig, weights: Mapping[str, NDArray[Any]]) -> Actor:
+    """An actor from parameters named ``actor.*``; others are ignored.
+
+    Raises:
+        PolicyError: if they are missing or do not fit.
+    """
+    own = {name.removeprefix("actor."): array for name, array in weights.items() if name.startswith("actor.")}
+    return GaussianActor(config.hidden, own) if config.algorithm == "sac" else CategoricalActor(config.hidden, own)

@@ -1,0 +1,61 @@
+"""What every low-level learner offers, whatever its algorithm."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from t4nmtd_dist.learners.attempts import Attempts
+from t4nmtd_dist.learners.networks import Weights
+from t4nmtd_dist.learners.peers import PeerCritics, Values
+from t4nmtd_dist.worlds import Observations
+
+
+class PublishedValues(Protocol):
+    """A copy of the critic that another thread may ask while the learner trains."""
+
+    def values(self, arrays: Mapping[str, NDArray[Any]]) -> tuple[Values, int]:
+        """Values of the product states in a value request, and the version of the copy.
+
+        Raises:
+            ProtocolError: if the arrays do not fit.
+        """
+
+
+class Learner(Protocol):
+    """Learns one sub-task from its own attempts.
+
+    The loop it is meant for::
+
+        while True:
+            if not learner.iterate(peers):
+                wait_for_start_states()
+            tell(learner.attempts.take_progress(), learner.weights(), learner.version)
+    """
+
+    pid: str
+    attempts: Attempts
+    version: int
+    gradient_steps: int
+
+    @property
+    def published(self) -> PublishedValues:
+        """What peers are answered from."""
+
+    def iterate(self, peers: PeerCritics) -> bool:
+        """Some steps and the updates they call for; False while there is no state to start from."""
+
+    def critic_values(self, observations: Observations, q: NDArray[np.int32]) -> Values:
+        """What a peer in the same process is told of product states, float32 [k] or [k, 2]."""
+
+    def weights(self) -> Weights:
+        """Copies of all parameters by name."""
+
+    def load(self, weights: Mapping[str, NDArray[Any]], version: int) -> None:
+        """Go on from weights learned before."""
+
+    def losses(self) -> tuple[float | None, float | None]:
+        """Entropy (nats) and critic loss of the last update; None before the first."""
