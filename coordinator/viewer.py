@@ -51,7 +51,7 @@ def watch(
         RunError: if the coordinator refuses the keys, or wants some.
     """
     console = console or Console()
-    socket = subscribe(context, endpoint, keys)
+    socket = subscribe(context, endpoint, keys, monitored=True)
     handshakes = HandshakeMonitor(socket)
     last: DashboardState | None = None
     heard = time.monotonic()

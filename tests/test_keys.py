@@ -182,14 +182,14 @@ def test_a_running_program_sees_the_list_change(folder: Path, monkeypatch: pytes
 # Limits
 
 
-@given(pauses=st.lists(st.floats(0, 0.01), min_size=200, max_size=400))
+@given(pauses=st.lists(st.floats(0, 0.1), min_size=80, max_size=120))
 def test_a_connection_gets_its_rate_and_no_more(pauses: list[float]) -> None:
     limiter = limits.RateLimiter(limits.Limits(100, messages_per_s=10, bytes_per_s=1e9))
     now, passed = 0.0, 0
     for pause in pauses:
         now += pause
         passed += limiter.allows(b"eager", 1, now)
-        assert limiter.allows(b"other", 1, 100 * now)
+    assert limiter.allows(b"other", 1, now)
     burst = 10 * limits.BURST_S
     assert burst - 1 <= passed <= burst + 10 * now + 1
 
@@ -256,7 +256,7 @@ class Running:
     context: Context
 
     def dealer(self, keys: ClientKeys | None) -> tuple[Socket, HandshakeMonitor]:
-        socket = connect(self.context, self.service.control, keys)
+        socket = connect(self.context, self.service.control, keys, monitored=True)
         return socket, HandshakeMonitor(socket)
 
     def claim(self, pid: str, keys: ClientKeys, instance: str = "test") -> tuple[Socket, Message]:
@@ -362,7 +362,7 @@ def test_a_revoked_key_loses_its_connection_and_its_lease(running: Running) -> N
 
 
 def test_a_revoked_key_gets_no_more_states(running: Running) -> None:
-    socket = subscribe(running.context, running.service.publish, load_client(client_of(running.folder)))
+    socket = subscribe(running.context, running.service.publish, load_client(client_of(running.folder)), monitored=True)
     monitor = HandshakeMonitor(socket)
     assert receive(socket, DEADLINE_S) is not None
     revoke(running.folder, "client1")

@@ -90,7 +90,7 @@ class Worker:
         self._context = new_context()
         self._keys = None if options.keys is None else load_client(options.keys)
         self._critics = self._serve_critics()
-        self._control = connect(self._context, options.coordinator, self._keys)
+        self._control = connect(self._context, options.coordinator, self._keys, monitored=True)
         self._handshakes = HandshakeMonitor(self._control)
         self._state = WorkerState(
             options.role,

@@ -64,10 +64,8 @@ def check_fit(task: CompiledTask, propositions: tuple[str, ...], action_space: o
     Raises:
         WorldError: if not.
     """
-    from gymnasium import spaces
-
+    from t4nmtd_dist.environments.action_spaces import check_action_space
     from t4nmtd_dist.product import LetterReader
 
     LetterReader(task.dfa, propositions)
-    if task.config.learner.algorithm == "ppo" and not isinstance(action_space, spaces.Discrete):
-        raise WorldError(f"PPO needs a Discrete action space; {task.config.environment.id} has {action_space}")
+    check_action_space(task.config, action_space)

@@ -56,6 +56,8 @@ class GaussianActor:
         if missing:
             raise PolicyError(f"an actor has no {missing[0]}; the export is damaged or of another format")
         self._low, self._high = own.pop("low"), own.pop("high")
+        if self._low.ndim != 1 or self._low.shape != self._high.shape:
+            raise PolicyError(f"an actor's low and high have shapes {self._low.shape} and {self._high.shape}")
         self.inputs = int(own["0.weight"].shape[1])
         self._stack = Stack(StackShape(1, self.inputs, hidden, 2 * len(self._low), layer_norm=False))
         self._stack.load(own)
@@ -67,13 +69,13 @@ class GaussianActor:
         from t4nmtd_dist.learners.squashed_gaussian import deterministic_actions
 
         room = Activations(self._stack.shape, len(states))
-        mode = deterministic_actions(evaluate(self._stack.layers, states, room)[0]).t().numpy()
-        return scaled(mode, self._low, self._high)
+        outputs = evaluate(self._stack.layers, states, room)[0].numpy()
+        return scaled(deterministic_actions(outputs).T, self._low, self._high)
 
 
 def scaled(actions: NDArray[np.float32], low: NDArray[np.float32], high: NDArray[np.float32]) -> NDArray[np.float32]:
-    """Actions [N, A] in [-1, 1] stretched to [low, high]."""
-    stretched: NDArray[np.float32] = np.clip(low + (actions + 1.0) * 0.5 * (high - low), low, high).astype(np.float32)
+    """Actions [N, A] in [-1, 1] stretched to [low, high], both ends included."""
+    stretched: NDArray[np.float32] = np.clip((1 - actions) * (low / 2) + (1 + actions) * (high / 2), low, high)
     return stretched
 
 

@@ -7,12 +7,14 @@ every DFA state in which the sub-task has a transition, and no reward is guessed
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from t4nmtd_dist.errors import RunError
 from t4nmtd_dist.product import SubtaskTables
 from t4nmtd_dist.worlds import Observations
 
@@ -40,11 +42,51 @@ class Returns:
     boundary: Flags
 
 
-class Experience:
-    """A ring of ``steps`` time steps of N copies of the world; flat row number = step * N + copy.
+class RowSet:
+    """Some of the rows, to be drawn from; every change of a row takes constant time.
 
     Args:
-        steps: time steps kept.
+        rows: how many rows there are.
+    """
+
+    def __init__(self, rows: int) -> None:
+        self._members = np.zeros(rows, np.int64)
+        self._place = np.full(rows, -1, np.int64)  # of a row among the members; -1 for none
+        self._size = 0
+
+    def __len__(self) -> int:
+        return self._size
+
+    @property
+    def members(self) -> Indices:
+        """The rows, in the order in which ``draw`` counts them; a view."""
+        return self._members[: self._size]
+
+    def add(self, rows: Indices) -> None:
+        """Put rows in; those that are there stay."""
+        rows = rows[self._place[rows] < 0]
+        places = np.arange(self._size, self._size + len(rows))
+        self._members[places], self._place[rows] = rows, places
+        self._size += len(rows)
+
+    def discard(self, rows: Indices) -> None:
+        """Take those of the rows out that are there; the last member takes the place of each."""
+        for row in rows[self._place[rows] >= 0]:
+            place, self._size = self._place[row], self._size - 1
+            last = self._members[self._size]
+            self._members[place], self._place[last] = last, place
+            self._place[row] = -1
+
+    def draw(self, count: int, rng: np.random.Generator) -> Indices:
+        """Members drawn uniformly with replacement [count]; there must be some."""
+        return self._members[rng.integers(self._size, size=count)]
+
+
+class Experience:
+    """A ring of ``steps`` time steps of N copies of the world; flat row number = (step modulo ``steps``) * N + copy.
+
+    Args:
+        steps: time steps kept, at least one.
         count: N.
         observation_size: d.
         action_size: A.
@@ -61,10 +103,8 @@ class Experience:
         self.terminated = np.zeros(rows, np.bool_)
         self.ended = np.ones(rows, np.bool_)
         self._written = 0
-        self._began = np.zeros(count, np.int64)
-        self._successes = np.zeros(rows, np.int64)
-        self._success_stamps = np.full(rows, -1, np.int64)
-        self._success_count = 0
+        self._began = np.zeros(count, np.int64)  # the step in which the attempt of every copy began
+        self._before_success = RowSet(rows)
 
     def __len__(self) -> int:
         return min(self._written, self._steps) * self._count
@@ -84,33 +124,28 @@ class Experience:
 
         ``ended`` says that the copy's next step belongs to another attempt, ``reached`` that the attempt succeeded.
         """
-        first = (self._written % self._steps) * self._count
-        rows = slice(first, first + self._count)
+        rows = (self._written % self._steps) * self._count + np.arange(self._count)
+        self._before_success.discard(rows)
         self.observations[rows], self.next_observations[rows] = observations, next_observations
         self.actions[rows], self.q[rows], self.letters[rows] = actions, q, letters
         self.terminated[rows], self.ended[rows] = terminated, ended
         for copy in np.flatnonzero(reached):
-            self._remember_success(int(copy))
+            self._before_success.add(self._last_rows(int(copy)))
         self._written += 1
         self._began[ended] = self._written
 
-    def _remember_success(self, copy: int) -> None:
-        """Index the last steps before a success."""
-        first = max(int(self._began[copy]), self._written - BEFORE_SUCCESS + 1)
-        stamps = np.arange(first, self._written + 1)
-        places = (self._success_count + np.arange(len(stamps))) % len(self._successes)
-        self._successes[places] = (stamps % self._steps) * self._count + copy
-        self._success_stamps[places] = stamps
-        self._success_count += len(stamps)
+    def _last_rows(self, copy: int) -> Indices:
+        """Rows of the last steps of the attempt of ``copy``, the one being written included."""
+        now = self._written
+        first = max(int(self._began[copy]), now - min(BEFORE_SUCCESS, self._steps) + 1)
+        return (np.arange(first, now + 1) % self._steps) * self._count + copy
 
     def sample(self, size: int, success_share: float, rng: np.random.Generator) -> Indices:
-        """Row numbers [size]: a share from the steps before past successes, the rest uniform."""
+        """Row numbers [size]: first a share from the steps before successes, if there are any, the rest uniform."""
         rows = rng.integers(len(self), size=size)
-        wanted = int(size * success_share)
-        if wanted and self._success_count:
-            places = rng.integers(min(self._success_count, len(self._successes)), size=wanted)
-            fresh = self._success_stamps[places] > self._written - 1 - self._steps
-            rows[:wanted] = np.where(fresh, self._successes[places], rows[:wanted])
+        wanted = round(size * success_share)
+        if wanted and len(self._before_success):
+            rows[:wanted] = self._before_success.draw(wanted, rng)
         return rows
 
     def returns(
@@ -132,7 +167,8 @@ class Experience:
             reward += np.where(going, discount * gained, 0.0)
             discount = np.where(going, discount * gamma, discount)
             last, q_next = np.where(going, row, last), np.where(going, reached, q_next)
-            going &= ~((reached != q) | self.ended[row] | (row >= newest) & (row < newest + self._count))
+            is_newest = (row >= newest) & (row < newest + self._count)
+            going &= ~((reached != q) | self.ended[row] | is_newest)
             if not going.any():
                 break
             row = np.where(going, (row + self._count) % len(self.q), row)
@@ -140,18 +176,27 @@ class Experience:
         return Returns(reward, np.where(terminal, 0.0, discount), last, q_next, (q_next != q) & ~terminal)
 
     def state(self) -> dict[str, NDArray[Any]]:
-        """Everything needed to go on, as arrays."""
-        kept = {name: array[: len(self)] for name, array in self._columns().items()}
-        kept["counters"] = np.array([self._written, self._success_count], np.int64)
-        return kept | {"began": self._began, "successes": self._successes, "success_stamps": self._success_stamps}
+        """Everything needed to go on, as arrays; views of the filled part, to be written before the next ``add``."""
+        filled = {name: column[: len(self)] for name, column in self._columns().items()}
+        counted = {"written": np.array(self._written, np.int64), "began": self._began}
+        return filled | counted | {"before_success": self._before_success.members}
 
-    def load(self, state: dict[str, NDArray[Any]]) -> None:
-        """Go on from ``state``."""
-        for name, array in self._columns().items():
-            array[: len(state[name])] = state[name]
-        self._written, self._success_count = (int(x) for x in state["counters"])
-        self._began[:], self._successes[:] = state["began"], state["successes"]
-        self._success_stamps[:] = state["success_stamps"]
+    def load(self, state: Mapping[str, NDArray[Any]]) -> None:
+        """Go on from a ``state``.
+
+        Raises:
+            RunError: if it is of a replay of another capacity, another number of copies or other shapes.
+        """
+        filled = min(int(state["written"]), self._steps) * self._count
+        shapes = {name: (filled, *column.shape[1:]) for name, column in self._columns().items()}
+        for name, shape in (shapes | {"began": self._began.shape}).items():
+            if state[name].shape != shape:
+                raise RunError(f"replay: {name} has shape {state[name].shape}, expected {shape}")
+        for name, column in self._columns().items():
+            column[:filled] = state[name]
+        self._written, self._began[:] = int(state["written"]), state["began"]
+        self._before_success = RowSet(len(self.q))
+        self._before_success.add(state["before_success"])
 
     def _columns(self) -> dict[str, NDArray[Any]]:
         return {

@@ -30,10 +30,16 @@ class FlatAdam:
         self._parameters, self._learning_rate = parameters, learning_rate
         self._mean, self._square = torch.zeros_like(parameters), torch.zeros_like(parameters)
         self._steps = torch.zeros(())
+        self._count = self._steps.numpy()  # the same memory: counting in numpy costs less
+
+    @property
+    def steps(self) -> int:
+        """Steps taken."""
+        return int(self._count)
 
     def step(self) -> None:
         """Move the parameters against ``gradient``, which the caller has filled."""
-        self._steps += 1
+        self._count += 1
         torch._fused_adam_(
             [self._parameters],
             [self.gradient],

@@ -80,6 +80,7 @@ class MarkedRows:
     """
 
     def __init__(self, capacity: int) -> None:
+        self.capacity = capacity
         self._numbers: Rows = np.zeros(capacity, np.int64)
         self._begin = self._end = 0
 
@@ -88,24 +89,23 @@ class MarkedRows:
 
     def add(self, numbers: Rows) -> None:
         """Put rows at the end."""
-        capacity = len(self._numbers)
-        kept = numbers[-capacity:]
+        kept = numbers[-self.capacity :]
         self._end += len(numbers)
-        self._numbers[np.arange(self._end - len(kept), self._end) % capacity] = kept
-        self._begin = max(self._begin, self._end - capacity)
+        self._numbers[np.arange(self._end - len(kept), self._end) % self.capacity] = kept
+        self._begin = max(self._begin, self._end - self.capacity)
 
     def forget(self, oldest: int) -> None:
         """Drop rows in front that are older than ``oldest``; those behind a younger one wait for their turn."""
-        while self._begin < self._end and self._numbers[self._begin % len(self._numbers)] < oldest:
+        while self._begin < self._end and self._numbers[self._begin % self.capacity] < oldest:
             self._begin += 1
 
     def draw(self, count: int, rng: np.random.Generator) -> Rows:
         """Rows drawn uniformly, with replacement."""
-        return self._numbers[rng.integers(self._begin, self._end, count) % len(self._numbers)]
+        return self._numbers[rng.integers(self._begin, self._end, count) % self.capacity]
 
     def all(self) -> Rows:
         """All rows, oldest first."""
-        return self._numbers[np.arange(self._begin, self._end) % len(self._numbers)]
+        return self._numbers[np.arange(self._begin, self._end) % self.capacity]
 
 
 class ReplayBuffer:
@@ -116,12 +116,12 @@ class ReplayBuffer:
         numbers = replay.add(experiences)
         replay.mark(numbers_of_the_steps_before_a_success)
         replay.sample(batch, marked_share=0.25)
-        updater.update(batch.tensors, batch.boundary_rows, values, log_probs)
+        updater.update(batch.tensors, PeerSoftValues(batch.boundary_rows, values, log_probs))
 
     Args:
         capacity: experiences kept; the oldest go first.
         observation_size: d.
-        dfa_states: |Q|, the width of the one-hot.
+        dfa_states: |Q|, the width of the one-hot; 0 for none.
         action_size: A.
         seed: of the sampling.
         marked_capacity: marked rows kept; None for ``capacity``.
@@ -230,6 +230,8 @@ class ReplayBuffer:
     def _fill_states(self, states: Floats, observations: Floats, q: NDArray[np.int32], rows: Rows) -> None:
         size = observations.shape[1]
         states[:, :size] = observations[rows]
+        if not self._dfa_states:
+            return
         states[:, size:] = 0.0
         states[np.arange(len(rows)), size + q[rows]] = 1.0
 
@@ -250,7 +252,7 @@ class ReplayBuffer:
                 raise RunError(f"replay: {name} has shape {state[name].shape}, expected {(filled, *column.shape[1:])}")
             column[:filled] = state[name]
         self._added = int(state["added"])
-        self._marked = MarkedRows(len(self._marked._numbers))
+        self._marked = MarkedRows(self._marked.capacity)
         self._marked.add(state["marked"])
         _set_rng_words(self._rng, state["rng"])
 

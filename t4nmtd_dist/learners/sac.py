@@ -5,12 +5,12 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
-import gymnasium as gym
 import numpy as np
 import torch
 from numpy.typing import NDArray
 
 from t4nmtd_dist.config import LearnerConfig, SACConfig
+from t4nmtd_dist.environments.action_spaces import Bounds
 from t4nmtd_dist.high_level import QTable
 from t4nmtd_dist.learners.actors import scaled
 from t4nmtd_dist.learners.attempts import Attempts
@@ -19,7 +19,7 @@ from t4nmtd_dist.learners.exploration import SinusoidExploration
 from t4nmtd_dist.learners.networks import Weights
 from t4nmtd_dist.learners.peers import PeerCritics, Values
 from t4nmtd_dist.learners.sac_published import PublishedSoftCritic
-from t4nmtd_dist.learners.sac_update import SACBatch, SACSettings, SACUpdater
+from t4nmtd_dist.learners.sac_update import PeerSoftValues, SACBatch, SACSettings, SACUpdater
 from t4nmtd_dist.product import SubtaskTables
 from t4nmtd_dist.worlds import Observations
 
@@ -37,7 +37,7 @@ class SACLearner:
         config: settings shared by all learners.
         sac: settings of SAC.
         high_level: a copy of the coordinator's Q table, for E(Q, q').
-        actions: the environment's action space; the actor's [-1, 1] is scaled to it.
+        bounds: lowest and highest actions of the environment, float32 [A] each; the actor's [-1, 1] is scaled to them.
         seed: seeds networks and sampling.
     """
 
@@ -51,16 +51,16 @@ class SACLearner:
         sac: SACConfig,
         high_level: QTable,
         *,
-        actions: gym.spaces.Box,
+        bounds: Bounds,
         seed: int,
     ) -> None:
         self.pid, self.attempts, self.high_level = pid, attempts, high_level
         self._tables, self._delta, self._config, self._sac = tables, delta, config, sac
         self._readable = np.flatnonzero(tables.available).astype(np.int32)
         self._rng = np.random.default_rng([seed, 1])
-        self._low, self._high = actions.low.astype(np.float32), actions.high.astype(np.float32)
+        self._low, self._high = bounds
         count, self._observation_size = attempts.observations.shape
-        action_size = int(actions.shape[0])
+        action_size = len(self._low)
         self.experience = Experience(sac.replay_rows // count, count, self._observation_size, action_size)
         self._exploration = SinusoidExploration(count, action_size, sac.exploration_share, self._rng)
         settings = SACSettings(
@@ -135,8 +135,8 @@ class SACLearner:
         drawn = self._drawn or self._draw(peers)
         answers = peers.gather()
         self._drawn = self._draw(peers)
-        values, log_probs = np.ascontiguousarray(answers.values.reshape(-1, 2).T)
-        self.updater.update(drawn, answers.rows, values, log_probs)
+        values, log_probs = answers.values.reshape(-1, 2).T
+        self.updater.update(drawn, PeerSoftValues(answers.rows, values, log_probs))
         self.gradient_steps += 1
 
     def _draw(self, peers: PeerCritics) -> SACBatch:

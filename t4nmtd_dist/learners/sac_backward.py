@@ -6,10 +6,17 @@ gradients of the actions but none of the critics' weights. Tests compare every o
 
 from __future__ import annotations
 
+from typing import Any
+
+import numpy as np
 import torch
+from numpy.typing import NDArray
 from torch import Tensor
 
+from t4nmtd_dist.learners.products import multiply
 from t4nmtd_dist.learners.sac_networks import Activations, HiddenLayer, LayerActivations, Layers
+
+Groups = list[tuple[int, slice]]
 
 _relu_backward = torch.ops.aten.threshold_backward.grad_input
 _layer_norm_backward = torch.ops.aten.native_layer_norm_backward
@@ -26,18 +33,25 @@ def weight_gradients(layers: Layers, gradients: Layers, inputs: Tensor, room: Ac
         d_outputs: derivative of the loss by the outputs [n, outputs, rows].
     """
     top = room.layers[-1]
-    torch.bmm(d_outputs, top.hidden, out=gradients.head_weight)
+    multiply(d_outputs, top.hidden, gradients.head_weight)
     torch.sum(d_outputs, 2, keepdim=True, out=gradients.head_bias)
-    torch.bmm(d_outputs.transpose(1, 2), layers.head_weight, out=top.delta)
+    _through_head(layers.head_weight, d_outputs, top.delta)
     for number in reversed(range(len(layers.hidden))):
         activations, gradient = room.layers[number], gradients.hidden[number]
         below = room.layers[number - 1].hidden if number else inputs.expand(len(d_outputs), *inputs.shape)
         _through_activation(layers.hidden[number], gradient, activations)
-        torch.bmm(below.transpose(1, 2), activations.delta, out=gradient.weight)
+        multiply(below.transpose(1, 2), activations.delta, gradient.weight)
         torch.sum(activations.delta, 1, keepdim=True, out=gradient.bias)
         if number:
             weight = layers.hidden[number].weight
-            torch.bmm(activations.delta, weight.transpose(1, 2), out=room.layers[number - 1].delta)
+            multiply(activations.delta, weight.transpose(1, 2), room.layers[number - 1].delta)
+
+
+def _through_head(weight: Tensor, d_outputs: Tensor, delta: Tensor) -> None:
+    if weight.shape[1] == 1:  # an outer product: seven times faster than the same as a matrix product
+        torch.mul(d_outputs.transpose(1, 2), weight, out=delta)
+    else:
+        multiply(d_outputs.transpose(1, 2), weight, delta)
 
 
 def _through_activation(layer: HiddenLayer, gradient: HiddenLayer, activations: LayerActivations) -> None:
@@ -53,7 +67,9 @@ def _through_activation(layer: HiddenLayer, gradient: HiddenLayer, activations: 
         delta.copy_(d_linear)
 
 
-def chosen_input_gradient(layers: Layers, room: Activations, choice: Tensor, first_input: int) -> Tensor:
+def chosen_input_gradient(
+    layers: Layers, room: Activations, choice: NDArray[np.integer[Any]], first_input: int
+) -> NDArray[np.floating[Any]]:
     """Derivative of every row's *chosen* network's only output by its last inputs.
 
     Rows are sorted by network, so that each goes back through one network alone: half of the work with two critics.
@@ -61,51 +77,59 @@ def chosen_input_gradient(layers: Layers, room: Activations, choice: Tensor, fir
     Args:
         layers: parameters of a stack with one output.
         room: the activations of its evaluation; their ``delta`` is overwritten.
-        choice: the network of each row, int64 [rows].
+        choice: the network of each row [rows].
         first_input: derivatives are by the inputs from this one on.
 
     Returns:
         [inputs - first_input, rows], transposed as the outputs are.
     """
-    count, rows = len(layers.head_bias), room.rows
-    order = torch.argsort(choice)
-    picked = choice[order].mul_(rows).add_(order)
-    bounds = _bounds(choice, count)
-    delta = room.layers[-1].delta.view(-1, layers.head_weight.shape[2])[:rows]
-    for n, (begin, end) in enumerate(bounds):
-        delta[begin:end] = layers.head_weight[n]
+    order, groups = _grouped(choice, len(layers.head_bias))
+    picked = torch.from_numpy(choice[order] * room.rows + order)
+    delta = room.layers[-1].delta.view(-1, layers.head_weight.shape[2])[: room.rows]
+    for n, group in groups:
+        delta[group] = layers.head_weight[n]
     for number in reversed(range(len(layers.hidden))):
         layer = layers.hidden[number]
-        delta = _through_chosen_activation(layer, room.layers[number], delta, picked, bounds)
+        _through_chosen_activation(layer, room.layers[number], delta, picked, groups)
         if number:
-            lower = room.layers[number - 1].delta.view(-1, layer.weight.shape[1])[:rows]
-            for n, (begin, end) in enumerate(bounds):
-                torch.mm(delta[begin:end], layer.weight[n].t(), out=lower[begin:end])
+            lower = room.layers[number - 1].delta.view(-1, layer.weight.shape[1])[: room.rows]
+            for n, group in groups:
+                multiply(delta[group], layer.weight[n].t(), lower[group])
             delta = lower
-    parts = [layers.hidden[0].weight[n, first_input:] @ delta[begin:end].t() for n, (begin, end) in enumerate(bounds)]
-    sorted_rows = torch.cat(parts, 1)
-    return torch.empty_like(sorted_rows).index_copy_(1, order, sorted_rows)
+    return _input_gradient(layers.hidden[0].weight[:, first_input:], delta, order, groups)
 
 
-def _bounds(choice: Tensor, count: int) -> list[tuple[int, int]]:
-    ends: list[int] = torch.bincount(choice, minlength=count).cumsum(0).tolist()
-    return list(zip([0, *ends[:-1]], ends, strict=True))
+def _grouped(choice: NDArray[np.integer[Any]], count: int) -> tuple[NDArray[np.int64], Groups]:
+    """An order that sorts rows by network, and each network with its slice of the sorted rows, empty ones left out."""
+    order = np.argsort(choice, kind="stable")
+    ends = np.bincount(choice, minlength=count).cumsum().tolist()
+    spans = zip(range(count), [0, *ends[:-1]], ends, strict=True)
+    return order, [(n, slice(begin, end)) for n, begin, end in spans if begin < end]
+
+
+def _input_gradient(
+    weight: Tensor, delta: Tensor, order: NDArray[np.int64], groups: Groups
+) -> NDArray[np.floating[Any]]:
+    sorted_rows = torch.empty(weight.shape[1], len(delta), dtype=delta.dtype)
+    for n, group in groups:
+        multiply(weight[n], delta[group].t(), sorted_rows[:, group])
+    gradient = np.empty(sorted_rows.shape, sorted_rows.numpy().dtype)
+    gradient[:, order] = sorted_rows.numpy()
+    return gradient
 
 
 def _through_chosen_activation(
-    layer: HiddenLayer, activations: LayerActivations, delta: Tensor, picked: Tensor, bounds: list[tuple[int, int]]
-) -> Tensor:
+    layer: HiddenLayer, activations: LayerActivations, delta: Tensor, picked: Tensor, groups: Groups
+) -> None:
     width = delta.shape[1]
     hidden = activations.hidden.view(-1, width).index_select(0, picked)
     _relu_backward(delta, hidden, 0.0, grad_input=delta)
     if layer.gain is None:
-        return delta
+        return
     linear = torch.index_select(activations.linear.view(-1, width), 0, picked, out=hidden)
     mean = torch.cat([mean for mean, _ in activations.statistics]).index_select(0, picked)
     scale = torch.cat([scale for _, scale in activations.statistics]).index_select(0, picked)
-    for n, (begin, end) in enumerate(bounds):
-        part = slice(begin, end)
-        delta[part] = _layer_norm_backward(
-            delta[part], linear[part], (width,), mean[part], scale[part], layer.gain[n], None, (True, False, False)
+    for n, group in groups:
+        delta[group] = _layer_norm_backward(
+            delta[group], linear[group], (width,), mean[group], scale[group], layer.gain[n], None, (True, False, False)
         )[0]
-    return delta

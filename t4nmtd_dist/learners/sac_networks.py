@@ -23,6 +23,7 @@ from torch import Tensor
 
 from t4nmtd_dist.errors import PolicyError
 from t4nmtd_dist.learners.networks import Weights
+from t4nmtd_dist.learners.products import multiply_add
 
 LAYER_NORM_EPSILON = 1e-5
 ALIGNMENT = 16  # floats: every parameter begins at a cache line
@@ -184,6 +185,8 @@ class Activations:
 
     def first(self, rows: int) -> Activations:
         """Views of the first rows; for stacks of one network, where they are contiguous."""
+        if rows == self.rows:
+            return self
         part = object.__new__(Activations)
         part.rows, part.outputs = rows, self.outputs[:, :, :rows]
         part.layers = [
@@ -209,13 +212,14 @@ def evaluate(layers: Layers, inputs: Tensor, room: Activations) -> Tensor:
     """Outputs [n, outputs, rows] of all networks of a stack on the same inputs [rows, inputs]; they lie in ``room``."""
     below = inputs.expand(len(layers.head_bias), *inputs.shape)
     for layer, activations in zip(layers.hidden, room.layers, strict=True):
-        torch.baddbmm(layer.bias, below, layer.weight, out=activations.linear)
+        multiply_add(layer.bias, below, layer.weight, activations.linear)
         if layer.gain is None or layer.shift is None:
             torch.relu_(activations.hidden)
         else:
             _normalise(layer.gain, layer.shift, activations)
         below = activations.hidden
-    return torch.baddbmm(layers.head_bias, layers.head_weight, below.transpose(1, 2), out=room.outputs)
+    multiply_add(layers.head_bias, layers.head_weight, below.transpose(1, 2), room.outputs)
+    return room.outputs
 
 
 def _normalise(gain: Tensor, shift: Tensor, activations: LayerActivations) -> None:

@@ -41,14 +41,16 @@ class PublishedSoftCritic:
         """Soft values float32 [k, 2] of the product states in a value request, and the copy's version.
 
         Raises:
-            ProtocolError: if ``observation`` is not [k, d] or ``q`` not [k] states of the DFA.
+            ProtocolError: if ``observation`` is not finite float32 [k, d] or ``q`` not [k] states of the DFA.
         """
         observations, q = arrays.get("observation"), arrays.get("q")
         if observations is None or q is None or q.ndim != 1 or observations.shape != (len(q), self._observation_size):
             raise ProtocolError(f"a value request needs observation [k, {self._observation_size}] and q [k]")
+        if observations.dtype != np.float32 or not np.isfinite(observations).all():
+            raise ProtocolError("a value request needs observations that are finite numbers in float32")
         if q.dtype.kind != "i" or not ((q >= 0) & (q < self._dfa_states)).all():
             raise ProtocolError(f"a value request names a DFA state outside 0..{self._dfa_states - 1}")
-        states = product_state(observations.astype(np.float32), q, self._dfa_states).numpy()
+        states = product_state(observations, q, self._dfa_states).numpy()
         with self._lock:
             values, log_probs = self._copy.soft_values(states)
             return np.stack([values, log_probs], axis=1), self._version

@@ -23,6 +23,7 @@ from t4nmtd_dist.learners.networks import Weights
 from t4nmtd_dist.learners.sac_backward import chosen_input_gradient, weight_gradients
 from t4nmtd_dist.learners.sac_networks import Activations, Stack, StackShape, evaluate, layers_of
 from t4nmtd_dist.learners.squashed_gaussian import (
+    Reals,
     SquashedSample,
     deterministic_actions,
     output_gradient,
@@ -41,6 +42,8 @@ class SACSettings:
         tau: share of the critics that enters their targets at every step.
         initial_alpha: entropy coefficient to begin with; 0.1 rather than 1, which would dwarf a sparse reward.
         target_entropy: nats per action; None for minus the number of action dimensions.
+        actor_every: updates of the critics for one of actor and entropy coefficient; 1 as usual, more where critics
+            need many updates per interaction and the actor does not (Chen et al., 2021: REDQ).
         layer_norm: normalise the critics' hidden layers.
         hidden: widths of the hidden layers of actor and critics.
     """
@@ -49,8 +52,24 @@ class SACSettings:
     tau: float = 0.005
     initial_alpha: float = 0.1
     target_entropy: float | None = None
+    actor_every: int = 1
     layer_norm: bool = True
     hidden: tuple[int, ...] = (256, 256)
+
+
+@dataclass(frozen=True)
+class PeerSoftValues:
+    """Peers' answers for some rows of a batch.
+
+    Attributes:
+        rows: which rows of the batch [k].
+        values: min_i Q'_i(s', a') of the peers' target critics, a' drawn from the peers' actors [k].
+        log_probs: log pi(a'|s') of the peers' actors [k].
+    """
+
+    rows: NDArray[np.int64]
+    values: Floats
+    log_probs: Floats
 
 
 @dataclass
@@ -84,7 +103,7 @@ class SACBatch:
 
 
 class _Room:
-    """Buffers for the update of a batch of a given size.
+    """Buffers for the update of a batch of a given size; names ending in ``array`` are numpy views of tensors.
 
     ``inputs`` [2 B, d + A] holds <s, a> above <s', a'>: its columns up to d are what the actor sees.
     """
@@ -94,10 +113,24 @@ class _Room:
         self.inputs = torch.zeros(2 * rows, critics.inputs)
         self.states = self.inputs[:, :state_size]
         self.current, self.following = self.inputs[:rows], self.inputs[rows:]
+        self.current_array: Floats = self.current.numpy()
+        self.following_array: Floats = self.following.numpy()
         self.actor = Activations(actor, 2 * rows)
         self.critics = Activations(critics, rows)
-        self.errors = torch.zeros(critics.count, 1, rows)
-        self.d_outputs = torch.zeros_like(self.errors)
+        self.values_array: Floats = self.critics.outputs[:, 0].numpy()
+        self.d_values = torch.zeros(critics.count, 1, rows)
+        self.d_values_array: Floats = self.d_values[:, 0].numpy()
+
+
+@dataclass(frozen=True)
+class _LastUpdate:
+    """What losses are computed from when somebody asks."""
+
+    errors: Reals
+    targets: Reals
+    log_probs: Reals
+    values: Reals
+    alpha: float
 
 
 class SACUpdater:
@@ -120,6 +153,7 @@ class SACUpdater:
         self._targets = Stack(critics)
         self._targets.flat.copy_(self._critics.flat)
         self._log_alpha = torch.full((1,), math.log(settings.initial_alpha))
+        self._log_alpha_array: Floats = self._log_alpha.numpy()
         rate = settings.learning_rate
         self._optimisers = {
             "actor": FlatAdam(self._actor.flat, rate),
@@ -131,159 +165,159 @@ class SACUpdater:
         entropy = settings.target_entropy
         self._target_entropy = -float(action_size) if entropy is None else entropy
         self._room: _Room | None = None
-        self._last: tuple[Tensor, Tensor, Tensor, Tensor, Tensor] | None = None
+        self._last: _LastUpdate | None = None
 
     # Acting
 
     @torch.no_grad()
     def act(self, states: Floats, *, deterministic: bool) -> Floats:
         """Actions [N, A] within [-1, 1] for product states [N, d]: drawn, or the mode's."""
-        room = Activations(self._actor.shape, len(states))
-        outputs = evaluate(self._actor.layers, torch.from_numpy(states), room)[0]
+        outputs = self._actor_outputs(torch.from_numpy(states))
         drawn = deterministic_actions(outputs) if deterministic else self._sample(outputs).actions
-        actions: Floats = drawn.t().contiguous().numpy()
-        return actions
+        return np.ascontiguousarray(drawn.T, np.float32)
 
-    def _sample(self, outputs: Tensor) -> SquashedSample:
-        noise = torch.randn(self._action_size, outputs.shape[1], generator=self._generator)
-        return squashed_sample(outputs, noise)
+    def _actor_outputs(self, states: Tensor) -> Reals:
+        room = Activations(self._actor.shape, len(states))
+        outputs: Reals = evaluate(self._actor.layers, states, room)[0].numpy()
+        return outputs
+
+    def _sample(self, outputs: Reals) -> SquashedSample:
+        return squashed_sample(outputs, self._noise(outputs.shape[1]))
+
+    def _noise(self, rows: int) -> Floats:
+        noise: Floats = torch.randn(self._action_size, rows, generator=self._generator).numpy()
+        return noise
 
     @torch.no_grad()
     def soft_values(self, states: Floats) -> tuple[Floats, Floats]:
         """What a peer is asked for: min_i Q'_i(s, a) and log pi(a|s), each [N], with a drawn from the own actor."""
-        rows = len(states)
-        inputs = torch.empty(rows, self._state_size + self._action_size)
+        inputs = torch.empty(len(states), self._state_size + self._action_size)
         inputs[:, : self._state_size] = torch.from_numpy(states)
-        room = Activations(self._actor.shape, rows)
-        sample = self._sample(evaluate(self._actor.layers, inputs[:, : self._state_size], room)[0])
-        inputs[:, self._state_size :] = sample.actions.t()
-        values = evaluate(self._targets.layers, inputs, Activations(self._targets.shape, rows))
-        return values.amin(0)[0].numpy(), sample.log_probs.numpy()
+        sample = self._sample(self._actor_outputs(inputs[:, : self._state_size]))
+        inputs[:, self._state_size :] = torch.from_numpy(sample.actions.T)
+        room = Activations(self._targets.shape, len(states))
+        values = evaluate(self._targets.layers, inputs, room)[:, 0].numpy()
+        return values.min(0), sample.log_probs.astype(np.float32, copy=False)
 
     # Learning
 
-    def update(
-        self,
-        batch: SACBatch,
-        peer_rows: NDArray[np.int64] | None = None,
-        peer_values: Floats | None = None,
-        peer_log_probs: Floats | None = None,
-    ) -> None:
+    def update(self, batch: SACBatch, peers: PeerSoftValues | None = None) -> None:
         """One gradient step of critics, actor and entropy coefficient, and of the targets towards the critics.
 
         Args:
             batch: B experiences.
-            peer_rows: rows [k] whose next state belongs to a peer; None for none.
-            peer_values: the peers' min_i Q'_i(s', a') of those rows [k].
-            peer_log_probs: the peers' log pi(a'|s') of those rows [k].
+            peers: the soft values of rows whose next state belongs to a peer; None for none.
         """
-        noise = torch.randn(self._action_size, 2 * len(batch.rewards), generator=self._generator)
-        peers = None
-        if peer_rows is not None and peer_values is not None and peer_log_probs is not None:
-            peers = (torch.from_numpy(peer_rows), torch.from_numpy(peer_values), torch.from_numpy(peer_log_probs))
-        self.update_with_noise(batch, noise, peers)
+        self.update_with_noise(batch, self._noise(2 * len(batch.rewards)), peers)
 
     @torch.no_grad()
-    def update_with_noise(
-        self, batch: SACBatch, noise: Tensor, peers: tuple[Tensor, Tensor, Tensor] | None = None
-    ) -> None:
+    def update_with_noise(self, batch: SACBatch, noise: Floats, peers: PeerSoftValues | None = None) -> None:
         """``update`` with given noise: standard normal [A, 2 B], for the actions in s and then for those in s'."""
         room = self._load(batch)
-        rows = room.rows
-        sample = squashed_sample(evaluate(self._actor.layers, room.states, room.actor)[0], noise)
-        own = sample.first(rows)
-        alpha = self._log_alpha.exp()
-        self._step_alpha(own.log_probs)
-        targets = self._soft_targets(batch, room, sample, alpha, peers)
-        self._step_critics(room, targets)
-        chosen = self._step_actor(room, own, alpha)
+        alpha = math.exp(self._log_alpha_array[0])
+        if self._optimisers["critics"].steps % self.settings.actor_every:
+            following = self._sample_from(room, noise, slice(room.rows, None))
+            targets = self._soft_targets(batch, room, following, alpha, peers)
+            self._step_critics(room, targets)
+        else:
+            sample = self._sample_from(room, noise, slice(None))
+            own = sample.part(slice(room.rows))
+            self._step_alpha(own.log_probs)
+            targets = self._soft_targets(batch, room, sample.part(slice(room.rows, None)), alpha, peers)
+            errors = self._step_critics(room, targets)
+            values = self._step_actor(room, own, alpha)
+            self._last = _LastUpdate(errors, targets, own.log_probs, values, alpha)
         self._targets.flat.lerp_(self._critics.flat, self.settings.tau)
-        self._last = (room.errors, own.log_probs, chosen, alpha, targets)
+
+    def _sample_from(self, room: _Room, noise: Floats, rows: slice) -> SquashedSample:
+        states = room.states[rows]
+        outputs = evaluate(self._actor.layers, states, room.actor.first(len(states)))
+        return squashed_sample(outputs[0].numpy(), noise[:, rows])
 
     def _load(self, batch: SACBatch) -> _Room:
         rows, size = len(batch.rewards), self._state_size
         if self._room is None or self._room.rows != rows:
             self._room = _Room(rows, size, self._actor.shape, self._critics.shape)
         room = self._room
-        room.current[:, :size] = batch.states
-        room.current[:, size:] = batch.actions
-        room.following[:, :size] = batch.next_states
+        room.current_array[:, :size] = batch.states.numpy()
+        room.current_array[:, size:] = batch.actions.numpy()
+        room.following_array[:, :size] = batch.next_states.numpy()
         return room
 
-    def _step_alpha(self, log_probs: Tensor) -> None:
+    def _step_alpha(self, log_probs: Reals) -> None:
         optimiser = self._optimisers["alpha"]
-        optimiser.gradient.copy_((log_probs.mean() + self._target_entropy).neg_())
+        optimiser.gradient.fill_(-float(log_probs.mean()) - self._target_entropy)
         optimiser.step()
 
     def _soft_targets(
-        self,
-        batch: SACBatch,
-        room: _Room,
-        sample: SquashedSample,
-        alpha: Tensor,
-        peers: tuple[Tensor, Tensor, Tensor] | None,
-    ) -> Tensor:
+        self, batch: SACBatch, room: _Room, following: SquashedSample, alpha: float, peers: PeerSoftValues | None
+    ) -> Reals:
         """Soft targets y [B]."""
-        rows = room.rows
-        room.following[:, self._state_size :] = sample.actions[:, rows:].t()
-        values = evaluate(self._targets.layers, room.following, room.critics).amin(0)[0]
-        log_probs = sample.log_probs[rows:]
+        room.following_array[:, self._state_size :] = following.actions.T
+        evaluate(self._targets.layers, room.following, room.critics)
+        values: Reals = room.values_array.min(0)
+        log_probs = following.log_probs
         if peers is not None:
-            values[peers[0]] = peers[1]
-            log_probs[peers[0]] = peers[2]
-        values.addcmul_(alpha, log_probs, value=-1.0)
-        return torch.addcmul(batch.rewards, batch.discounts, values)
+            values[peers.rows], log_probs[peers.rows] = peers.values, peers.log_probs
+        values -= alpha * log_probs
+        values *= batch.discounts.numpy()
+        values += batch.rewards.numpy()
+        return values
 
-    def _step_critics(self, room: _Room, targets: Tensor) -> None:
-        values = evaluate(self._critics.layers, room.current, room.critics)
-        torch.sub(values, targets, out=room.errors)
-        torch.div(room.errors, room.rows, out=room.d_outputs)
-        weight_gradients(self._critics.layers, self._critic_gradients, room.current, room.critics, room.d_outputs)
+    def _step_critics(self, room: _Room, targets: Reals) -> Reals:
+        """Step the critics; returns their errors Q_i - y [2, B]."""
+        evaluate(self._critics.layers, room.current, room.critics)
+        errors: Reals = room.values_array - targets
+        np.divide(errors, room.rows, out=room.d_values_array)
+        weight_gradients(self._critics.layers, self._critic_gradients, room.current, room.critics, room.d_values)
         self._optimisers["critics"].step()
+        return errors
 
-    def _step_actor(self, room: _Room, sample: SquashedSample, alpha: Tensor) -> Tensor:
+    def _step_actor(self, room: _Room, sample: SquashedSample, alpha: float) -> Reals:
         """Step the actor; returns min_i Q_i(s, a) of its actions [B]."""
-        rows = room.rows
-        room.current[:, self._state_size :] = sample.actions.t()
-        chosen, choice = evaluate(self._critics.layers, room.current, room.critics)[:, 0].min(0)
-        d_values = chosen_input_gradient(self._critics.layers, room.critics, choice, self._state_size)
-        d_outputs = output_gradient(sample, d_values.div_(-rows), alpha / rows)
+        rows, layers = room.rows, self._critics.layers
+        room.current_array[:, self._state_size :] = sample.actions.T
+        evaluate(layers, room.current, room.critics)
+        d_actions = chosen_input_gradient(layers, room.critics, room.values_array.argmin(0), self._state_size)
+        d_actions /= -rows
+        d_outputs = torch.from_numpy(output_gradient(sample, d_actions, alpha / rows))[None]
         states, activations = room.states[:rows], room.actor.first(rows)
-        weight_gradients(self._actor.layers, self._actor_gradients, states, activations, d_outputs[None])
+        weight_gradients(self._actor.layers, self._actor_gradients, states, activations, d_outputs)
         self._optimisers["actor"].step()
-        return chosen
+        values: Reals = room.values_array.min(0)
+        return values
 
     def losses(self) -> dict[str, float]:
-        """Losses of the last update, and what they are made of; empty before the first.
+        """Losses of the last update of critics and actor, and what they are made of; empty before the first.
 
         Returns:
             ``critic_loss``, ``actor_loss``, ``alpha_loss``, ``alpha`` (as used in the update), ``entropy`` (nats),
             ``value`` (mean of min_i Q_i(s, a), a from the actor) and ``target`` (mean of y).
         """
-        if self._last is None:
+        last = self._last
+        if last is None:
             return {}
-        errors, log_probs, chosen, alpha, targets = (tensor.double() for tensor in self._last)
-        log_prob = log_probs.mean()
+        log_prob = float(last.log_probs.mean())
         return {
-            "critic_loss": float(0.5 * errors.square().mean((1, 2)).sum()),
-            "actor_loss": float((alpha * log_probs - chosen).mean()),
-            "alpha_loss": float(-(alpha.log() * (log_prob + self._target_entropy))),
-            "alpha": float(alpha),
-            "entropy": float(-log_prob),
-            "value": float(chosen.mean()),
-            "target": float(targets.mean()),
+            "critic_loss": float(0.5 * np.square(last.errors).mean(1).sum()),
+            "actor_loss": float((last.alpha * last.log_probs - last.values).mean()),
+            "alpha_loss": -math.log(last.alpha) * (log_prob + self._target_entropy),
+            "alpha": last.alpha,
+            "entropy": -log_prob,
+            "value": float(last.values.mean()),
+            "target": float(last.targets.mean()),
         }
 
     @property
-    def targets(self) -> Tensor:
-        """The soft targets y of the last update [B].
+    def targets(self) -> Reals:
+        """The soft targets y of the last update of critics and actor [B].
 
         Raises:
             RuntimeError: before the first update.
         """
         if self._last is None:
             raise RuntimeError("no update yet: targets are those of the last one")
-        return self._last[4]
+        return self._last.targets
 
     # State
 

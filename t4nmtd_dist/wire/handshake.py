@@ -8,18 +8,10 @@ import zmq
 from zmq.utils.monitor import recv_monitor_message
 
 from t4nmtd_dist.wire.keys import ClientKeys
-from t4nmtd_dist.wire.sockets import Socket
+from t4nmtd_dist.wire.sockets import MONITORED, Socket
 
 Outcome = Literal["connected", "agreed", "refused", "mechanism", "broken", "ended"]
 
-_EVENTS = (
-    zmq.EVENT_CONNECTED
-    | zmq.EVENT_HANDSHAKE_SUCCEEDED
-    | zmq.EVENT_HANDSHAKE_FAILED_AUTH
-    | zmq.EVENT_HANDSHAKE_FAILED_PROTOCOL
-    | zmq.EVENT_HANDSHAKE_FAILED_NO_DETAIL
-    | zmq.EVENT_DISCONNECTED
-)
 _OUTCOMES: dict[int, Outcome] = {
     zmq.EVENT_CONNECTED: "connected",
     zmq.EVENT_HANDSHAKE_SUCCEEDED: "agreed",
@@ -31,19 +23,19 @@ _OUTCOMES: dict[int, Outcome] = {
 
 
 class HandshakeMonitor:
-    """What becomes of a socket's connections; make it before messages are expected.
+    """What becomes of a socket's connections.
 
     Outcomes are: ``connected`` (TCP only), ``agreed``, ``refused`` (the key is not on the other side's list),
     ``mechanism`` (one side has keys and the other has not), ``broken`` (closed or not understood in between, as when
     the other side's key is not the expected one), and ``ended``.
 
     Args:
-        socket: any socket; the monitor must be closed before it.
+        socket: a bound one, or one connected with ``monitored``; the monitor must be closed before it.
     """
 
     def __init__(self, socket: Socket) -> None:
         self._socket = socket
-        self._monitor: Socket = socket.get_monitor_socket(_EVENTS)
+        self._monitor: Socket = socket.get_monitor_socket(MONITORED)
 
     def next(self, timeout_s: float = 0.0) -> Outcome | None:
         """The next outcome, or None after ``timeout_s``."""
@@ -57,6 +49,7 @@ class HandshakeMonitor:
     def close(self) -> None:
         """Stop watching."""
         self._socket.disable_monitor()
+        self._monitor.close(0)
 
 
 def _is_protocol(event: int) -> bool:

@@ -31,7 +31,7 @@ class Inquiry:
 
     def __init__(self, context: Context, endpoint: str, keys: ClientKeys | None = None) -> None:
         self._endpoint, self._keys = endpoint, keys
-        self._socket = connect(context, endpoint, keys)
+        self._socket = connect(context, endpoint, keys, monitored=True)
         self._handshakes = HandshakeMonitor(self._socket)
         self._number = 0
 

@@ -14,6 +14,14 @@ from t4nmtd_dist.wire.keys import ClientKeys, KeyPair
 QUEUED_MESSAGES = 1000
 ENCRYPTION_BYTES = 64  # what CURVE adds to a frame, generously
 HANDSHAKE_MS = 10_000
+MONITORED = (
+    zmq.EVENT_CONNECTED
+    | zmq.EVENT_HANDSHAKE_SUCCEEDED
+    | zmq.EVENT_HANDSHAKE_FAILED_AUTH
+    | zmq.EVENT_HANDSHAKE_FAILED_PROTOCOL
+    | zmq.EVENT_HANDSHAKE_FAILED_NO_DETAIL
+    | zmq.EVENT_DISCONNECTED
+)
 
 Socket = zmq.Socket[bytes]
 Context = zmq.Context[Socket]
@@ -99,7 +107,12 @@ def bound_endpoint(socket: Socket) -> str:
 
 
 def connect(
-    context: Context, endpoint: str, keys: ClientKeys | None = None, *, handshake_ms: int = HANDSHAKE_MS
+    context: Context,
+    endpoint: str,
+    keys: ClientKeys | None = None,
+    *,
+    handshake_ms: int = HANDSHAKE_MS,
+    monitored: bool = False,
 ) -> Socket:
     """A connected DEALER that queues nothing while its peer is away.
 
@@ -108,6 +121,7 @@ def connect(
         endpoint: ``tcp://HOST:PORT``.
         keys: what to prove oneself by, and the key that the other side must have.
         handshake_ms: how long to wait for an answer to the handshake before trying again.
+        monitored: keep what happens from the first moment for a ``HandshakeMonitor``.
 
     Raises:
         ConfigError: if the endpoint is malformed or cannot be connected to.
@@ -116,12 +130,14 @@ def connect(
     socket = _prepare(context, zmq.DEALER)
     socket.setsockopt(zmq.IMMEDIATE, 1)
     socket.setsockopt(zmq.HANDSHAKE_IVL, handshake_ms)
+    return _connected(socket, endpoint, keys, monitored)
+
+
+def _connected(socket: Socket, endpoint: str, keys: ClientKeys | None, monitored: bool) -> Socket:
     if keys is not None:
         _present_keys(socket, keys)
-    return _connected(socket, endpoint)
-
-
-def _connected(socket: Socket, endpoint: str) -> Socket:
+    if monitored:
+        socket.get_monitor_socket(MONITORED)
     try:
         socket.connect(endpoint)
     except zmq.ZMQError as error:
@@ -130,8 +146,8 @@ def _connected(socket: Socket, endpoint: str) -> Socket:
     return socket
 
 
-def subscribe(context: Context, endpoint: str, keys: ClientKeys | None = None) -> Socket:
-    """A SUB socket for everything that an XPUB publishes; ``keys`` as for ``connect``.
+def subscribe(context: Context, endpoint: str, keys: ClientKeys | None = None, *, monitored: bool = False) -> Socket:
+    """A SUB socket for everything that an XPUB publishes; ``keys`` and ``monitored`` as for ``connect``.
 
     Raises:
         ConfigError: if the endpoint is malformed or cannot be connected to.
@@ -139,9 +155,7 @@ def subscribe(context: Context, endpoint: str, keys: ClientKeys | None = None) -
     check_endpoint(endpoint)
     socket = _prepare(context, zmq.SUB)
     socket.setsockopt(zmq.SUBSCRIBE, b"")
-    if keys is not None:
-        _present_keys(socket, keys)
-    return _connected(socket, endpoint)
+    return _connected(socket, endpoint, keys, monitored)
 
 
 def on_loopback(endpoint: str) -> bool:

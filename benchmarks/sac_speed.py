@@ -1,0 +1,187 @@
+"""Gradient updates per second of our SAC against Stable-Baselines3's, same networks and batch, one thread each.
+
+An update is all of: sampling the batch, critics, actor, entropy coefficient, target networks. The two take turns, so
+that a busy machine slows both alike; processor time is what counts, wall-clock time is shown beside it. The share of
+the peak is the update's necessary arithmetic against the rate of square sgemm products measured in the same turns.
+Run ``python benchmarks/sac_speed.py [--json]``; it needs Stable-Baselines3 (the ``test`` extra).
+"""
+
+from __future__ import annotations
+
+import os
+
+os.environ["OMP_NUM_THREADS"] = "1"  # before numpy and torch are imported
+
+import argparse
+import itertools
+import json
+import statistics
+import time
+from collections.abc import Callable
+from dataclasses import dataclass, field
+
+import gymnasium
+import numpy as np
+import torch
+from stable_baselines3 import SAC
+from stable_baselines3.common.logger import Logger
+
+from t4nmtd_dist.learners.products import multiply
+from t4nmtd_dist.learners.replay import Experiences, ReplayBuffer
+from t4nmtd_dist.learners.sac_update import SACSettings, SACUpdater
+
+OBSERVATION, ACTIONS, HIDDEN, BATCH = 76, 2, (256, 256), 256
+STORED = 20_000
+PEAK_SIDE = 256
+
+
+class Spaces(gymnasium.Env):
+    """Never stepped: Stable-Baselines3 takes its sizes from an environment."""
+
+    observation_space = gymnasium.spaces.Box(-1, 1, (OBSERVATION,), np.float32)
+    action_space = gymnasium.spaces.Box(-1, 1, (ACTIONS,), np.float32)
+
+
+@dataclass
+class Timed:
+    """A turn's work, how often it is done in a turn, and seconds per run of it in each turn."""
+
+    work: Callable[[], object]
+    repeats: int
+    cpu: list[float] = field(default_factory=list)
+    wall: list[float] = field(default_factory=list)
+
+    def take_turn(self) -> None:
+        """Do the work and note how long it took."""
+        cpu, wall = time.process_time(), time.perf_counter()
+        for _ in range(self.repeats):
+            self.work()
+        self.cpu.append((time.process_time() - cpu) / self.repeats)
+        self.wall.append((time.perf_counter() - wall) / self.repeats)
+
+
+def random_experiences() -> Experiences:
+    rng = np.random.default_rng(0)
+    draw = rng.standard_normal
+    return Experiences(
+        observations=draw((STORED, OBSERVATION), np.float32),
+        q=np.zeros(STORED, np.int32),
+        actions=rng.uniform(-1, 1, (STORED, ACTIONS)).astype(np.float32),
+        rewards=draw(STORED, np.float32),
+        discounts=np.full(STORED, 0.99, np.float32),
+        next_observations=draw((STORED, OBSERVATION), np.float32),
+        next_q=np.zeros(STORED, np.int32),
+        boundary=np.zeros(STORED, np.bool_),
+    )
+
+
+def our_update(*, layer_norm: bool, actor_every: int = 1) -> Callable[[], object]:
+    settings = SACSettings(hidden=HIDDEN, layer_norm=layer_norm, actor_every=actor_every)
+    updater = SACUpdater(OBSERVATION, ACTIONS, settings, seed=0)
+    replay = ReplayBuffer(STORED, OBSERVATION, 0, ACTIONS, seed=0)
+    replay.add(random_experiences())
+    batch = replay.empty_batch(BATCH)
+
+    def update() -> None:
+        replay.sample(batch)
+        updater.update(batch.tensors)
+
+    return update
+
+
+def their_updates(count: int) -> Callable[[], object]:
+    """``count`` updates in one call of ``train``, as their learning loop would do them."""
+    policy = {"net_arch": list(HIDDEN)}
+    sac = SAC("MlpPolicy", Spaces(), buffer_size=STORED, batch_size=BATCH, policy_kwargs=policy, device="cpu", seed=0)
+    sac.set_logger(Logger(None, []))
+    stored = random_experiences()
+    for row in range(STORED):
+        sac.replay_buffer.add(
+            stored.observations[row], stored.next_observations[row], stored.actions[row], stored.rewards[row],
+            np.zeros(1), [{}],
+        )  # fmt: skip
+    return lambda: sac.train(count, BATCH)
+
+
+def square_product() -> Callable[[], object]:
+    a, b, out = (torch.randn(PEAK_SIDE, PEAK_SIDE) for _ in range(3))
+    return lambda: multiply(a, b, out)
+
+
+def update_gflop() -> float:
+    """The products that one update cannot do without, in GFLOP."""
+    first, hidden = HIDDEN[0], sum(a * b for a, b in itertools.pairwise(HIDDEN))
+    actor_in, critic_in = OBSERVATION * first, (OBSERVATION + ACTIONS) * first
+    forward = 2 * (actor_in + hidden) + 3 * 2 * (critic_in + hidden)  # actor in s and s'; targets; critics twice
+    backward = 2 * (critic_in + 2 * hidden) + hidden + actor_in + 2 * hidden  # critics; through one critic; actor
+    return 2e-9 * BATCH * (forward + backward)
+
+
+def measure(turns: int, updates: int) -> dict[str, Timed]:
+    timed = {
+        "ours": Timed(our_update(layer_norm=False), updates),
+        "ours, layer norm": Timed(our_update(layer_norm=True), updates),
+        "ours, layer norm, actor every 2nd": Timed(our_update(layer_norm=True, actor_every=2), updates),
+        "Stable-Baselines3": Timed(their_updates(updates), 1),
+        "sgemm": Timed(square_product(), 20 * updates),
+    }
+    with torch.no_grad():
+        timed["sgemm"].work()
+    for _ in range(turns + 1):
+        for each in timed.values():
+            each.take_turn()
+    for each in timed.values():
+        per_run = updates if each is timed["Stable-Baselines3"] else 1
+        each.cpu, each.wall = ([seconds / per_run for seconds in taken[1:]] for taken in (each.cpu, each.wall))
+    return timed
+
+
+def table(timed: dict[str, Timed], peak: float) -> str:
+    theirs = timed["Stable-Baselines3"]
+    lines = [f"{'fp32, batch 256, networks 256-256':<36}{'updates/s':>10}{'ms cpu':>9}{'ms wall':>9}{'times SB3':>11}"]
+    for name, each in timed.items():
+        if name == "sgemm":
+            continue
+        cpu, wall = statistics.median(each.cpu), statistics.median(each.wall)
+        ratio = ratio_of(theirs, each)
+        lines.append(f"{name:<36}{1 / cpu:>10.1f}{1e3 * cpu:>9.2f}{1e3 * wall:>9.2f}{ratio:>11.2f}")
+    share = peak_share(timed, peak)
+    lines.append(f"sgemm {PEAK_SIDE}x{PEAK_SIDE}: {peak:.1f} GFLOP/s; our update reaches {share:.0%} of it")
+    return "\n".join(lines)
+
+
+def ratio_of(theirs: Timed, ours: Timed) -> float:
+    """Median over the turns of their processor time over ours of the same turn."""
+    return statistics.median(their / our for their, our in zip(theirs.cpu, ours.cpu, strict=True))
+
+
+def peak_share(timed: dict[str, Timed], peak: float) -> float:
+    return update_gflop() / statistics.median(timed["ours"].cpu) / peak
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--json", action="store_true", help="print one JSON object and nothing else")
+    parser.add_argument("--turns", type=int, default=25, help="turns of each side")
+    parser.add_argument("--updates", type=int, default=10, help="updates of a turn")
+    arguments = parser.parse_args()
+    torch.set_num_threads(1)
+    timed = measure(arguments.turns, arguments.updates)
+    peak = 2e-9 * PEAK_SIDE**3 / statistics.median(timed["sgemm"].cpu)
+    if not arguments.json:
+        print(table(timed, peak))
+        return
+    theirs = timed["Stable-Baselines3"]
+    result = {
+        "ratio_bf16": None,
+        "ratio_fp32": round(ratio_of(theirs, timed["ours"]), 2),
+        "peak_share": round(peak_share(timed, peak), 3),
+        "ratio_fp32_layer_norm": round(ratio_of(theirs, timed["ours, layer norm"]), 2),
+        "updates_s": round(1 / statistics.median(timed["ours"].cpu), 1),
+        "sgemm_gflops": round(peak, 1),
+    }
+    print(json.dumps(result))
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,101 @@
+#!/usr/bin/env bash
+# Tries docker-compose.yml for real: builds, trains task7 with four workers, kills one of them on the way, and looks at
+# what is left. Ends with the coordinator's exit code, or 1 where a check fails. Leaves nothing behind but the image.
+#
+# Usage: deploy/test-compose.sh          (as root, or as somebody who may use docker and sudo without a password)
+#   COMPOSE=...   the command; by default `docker compose`, or docker-compose where that is what there is
+#   T4NMTD=...    the command t4nmtd outside the containers; by default that of .venv, made if need be
+#   SEED=...      of the training; default 1
+set -euo pipefail
+cd "$(dirname "${BASH_SOURCE[0]}")/.."
+
+export COMPOSE_PROJECT_NAME=t4nmtd-test-$$ TASK=task7 SEED=${SEED:-1} MAX_INTERACTIONS=3000000
+deadline=${DEADLINE_S:-900}
+folder=$(mktemp -d)
+if [ -z "${COMPOSE:-}" ]; then
+  COMPOSE="docker compose"
+  docker compose version >/dev/null 2>&1 || COMPOSE=docker-compose
+fi
+
+say() { printf 'test-compose: %s\n' "$*"; }
+fail() { say "FAILED: $*"; $COMPOSE logs --tail 20 || true; exit 1; }
+as_root() { if [ "$(id -u)" = 0 ]; then "$@"; else sudo -n "$@"; fi; }
+containers() { docker ps --quiet --all --filter "label=com.docker.compose.project=$COMPOSE_PROJECT_NAME" "$@"; }
+status() { $COMPOSE exec -T coordinator t4nmtd status --json --keys /keys </dev/null 2>/dev/null; }
+
+# What a Python expression of the coordinator's status s comes to; empty while there is no answer.
+ask() { status | python3 -c "import json, sys; s = json.load(sys.stdin); print($1)" 2>/dev/null || true; }
+
+# Waits until an expression is true; the time it took is in $SECONDS.
+until_true() {
+  until [ "$(ask "$1")" = True ]; do
+    [ "$(docker inspect --format '{{.State.Running}}' "$coordinator")" = true ] || fail "the coordinator ended before: $2"
+    [ "$SECONDS" -lt "$deadline" ] || fail "not within $deadline s: $2"
+    sleep 0.5
+  done
+}
+
+clean_up() {
+  $COMPOSE down --volumes --remove-orphans >"$folder/down.log" 2>&1 || cat "$folder/down.log"
+  as_root rm -rf "$folder"
+}
+trap clean_up EXIT
+
+# The user named in .env owns the runs; a test must not write over the .env of whoever runs it.
+if [ -e .env ]; then
+  owner=$(sed -n 's/^T4NMTD_UID=//p' .env)
+else
+  owner=12345
+  sed "s/^T4NMTD_UID=.*/T4NMTD_UID=$owner/; s/^T4NMTD_GID=.*/T4NMTD_GID=$owner/; /^PIP_\|^BASE/d" .env.example >.env
+  trap 'rm -f .env; clean_up' EXIT
+fi
+owner=${owner:-1000}
+
+say "building"
+$COMPOSE build >"$folder/build.log" 2>&1 || { tail -n 30 "$folder/build.log"; fail "the image cannot be built"; }
+say "image: $(docker image inspect --format '{{.Size}}' t4nmtd-dist | awk '{printf "%.2f GB", $1 / 1e9}')"
+
+SECONDS=0
+$COMPOSE up -d --scale worker=4 >"$folder/up.log" 2>&1 || { cat "$folder/up.log"; fail "up"; }
+say "up after $SECONDS s, the coordinator healthy"
+coordinator=$($COMPOSE ps -q coordinator)
+until_true 'any(row["updates"] for row in s["learners"])' "a first learning step"
+say "first learning step $SECONDS s after up began"
+until_true 'all(row["worker"] for row in s["learners"])' "every sub-task has a worker"
+say "workers: $(ask '", ".join(sorted(row["pid"] + " " + row["worker"] for row in s["learners"]))')"
+
+g='next(row for row in s["learners"] if row["pid"] == "g")'
+until_true "$g['phase'] == 'training'" "g learns"
+holder=$(ask "$g['worker']")
+epoch=$(ask "$g['epoch']")
+as_root kill -KILL "$(docker inspect --format '{{.State.Pid}}' "${holder%%:*}")"
+say "killed the process of $holder, which held g (epoch $epoch), after $SECONDS s"
+
+code=$(timeout "$deadline" docker wait "$coordinator") || fail "not over within $deadline s"
+say "the coordinator ended with code $code after $SECONDS s: $(docker logs "$coordinator" 2>&1 | tail -n 1)"
+run=$(docker run --rm -v "${COMPOSE_PROJECT_NAME}_runs:/runs:ro" t4nmtd-dist readlink /runs/$TASK/latest)
+docker cp -q "$coordinator:/data/runs/$TASK/$run" "$folder/run" 2>/dev/null ||
+  docker cp "$coordinator:/data/runs/$TASK/$run" "$folder/run" >/dev/null
+grep -o '"[^"]* takes g [^"]*"' "$folder/run/events.jsonl" | sed 's/^/test-compose:   /'
+[ "$(grep -c 'takes g ' "$folder/run/events.jsonl")" -ge 2 ] || fail "nobody took g again"
+owners=$(docker run --rm -v "${COMPOSE_PROJECT_NAME}_runs:/runs:ro" t4nmtd-dist \
+  find "/runs/$TASK/$run" -printf '%U:%G\n' | sort -u)
+[ "$owners" = "$owner:$owner" ] || fail "the run directory belongs to $owners, expected $owner:$owner"
+say "the run directory belongs to $owners"
+
+say "workers' exit codes: $(docker inspect --format '{{.State.ExitCode}}' $(containers --filter name=_worker_ --filter name=-worker-) | tr '\n' ' ')"
+if [ "$code" = 0 ]; then
+  if [ -z "${T4NMTD:-}" ]; then
+    make --no-print-directory setup
+    T4NMTD=.venv/bin/t4nmtd
+  fi
+  $T4NMTD evaluate "$folder/run" --episodes 100
+  rate=$($T4NMTD evaluate "$folder/run" --episodes 100 --json | python3 -c 'import json, sys; print(json.load(sys.stdin)["success_rate"])')
+  [ "$rate" = 1.0 ] || fail "the policy succeeds in $rate of the episodes"
+fi
+
+$COMPOSE down --volumes >"$folder/down.log" 2>&1 || { cat "$folder/down.log"; fail "down"; }
+left="$(containers) $(docker volume ls -q | grep "^$COMPOSE_PROJECT_NAME" || true) $(docker network ls -q --filter name="$COMPOSE_PROJECT_NAME")"
+[ -z "${left// /}" ] || fail "down leaves $left"
+say "down leaves nothing"
+exit "$code"

@@ -1,0 +1,90 @@
+"""Exploration by sinusoids: how many attempts are driven, which, and by what."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from numpy.typing import NDArray
+
+from t4nmtd_dist.learners.exploration import FREQUENCIES, SinusoidExploration
+
+Floats = NDArray[np.float32]
+
+
+def everywhere(count: int) -> NDArray[np.bool_]:
+    return np.ones(count, np.bool_)
+
+
+def driven_steps(exploration: SinusoidExploration, policy: Floats, steps: int) -> Floats:
+    """Actions [steps, N, A] where the policy's are always the same."""
+    return np.stack([exploration.drive(policy) for _ in range(steps)])
+
+
+@pytest.mark.parametrize("share", [0.0, 0.5, 1.0])
+@pytest.mark.parametrize("success", [0.0, 0.3, 1.0])
+def test_the_share_of_driven_attempts_falls_with_success(share: float, success: float) -> None:
+    count, policy = 5000, np.full((5000, 2), 0.123, np.float32)
+    exploration = SinusoidExploration(count, 2, share, np.random.default_rng(0))
+    exploration.begin(everywhere(count), success)
+    driven = (driven_steps(exploration, policy, 3) != policy).any(axis=(0, 2)).mean()
+    expected = share * (1 - success)
+    assert driven == pytest.approx(expected, abs=0.03)
+    assert expected not in (0.0, 1.0) or driven == expected
+
+
+@given(st.integers(0, 1000), st.integers(1, 6), st.integers(1, 5), st.floats(0, 1))
+def test_actions_are_either_the_policys_own_or_within_the_bounds(
+    seed: int, count: int, size: int, share: float
+) -> None:
+    rng = np.random.default_rng(seed)
+    exploration = SinusoidExploration(count, size, share, rng)
+    exploration.begin(everywhere(count), 0.0)
+    policies = rng.uniform(-1, 1, (40, count, size)).astype(np.float32)
+    actions = np.stack([exploration.drive(policy) for policy in policies])
+    assert actions.dtype == np.float32
+    assert actions.shape == policies.shape
+    assert (np.abs(actions) <= 1).all()
+    for copy in range(count):
+        same = (actions[:, copy] == policies[:, copy]).all(axis=1)
+        assert same.all() or not same.any(), "an attempt is driven from beginning to end, or not at all"
+
+
+def test_an_attempt_has_one_frequency_and_every_action_a_phase_of_its_own() -> None:
+    exploration = SinusoidExploration(20, 6, 1.0, np.random.default_rng(0))
+    exploration.begin(everywhere(20), 0.0)
+    waves = driven_steps(exploration, np.zeros((20, 6), np.float32), 300).astype(np.float64)
+    # x(t+1) + x(t-1) = 2 cos(w) x(t) holds for every sinusoid of frequency w and for no other
+    slope = ((waves[2:] + waves[:-2]) * waves[1:-1]).sum(0) / (waves[1:-1] ** 2).sum(0)
+    frequencies = np.arccos(slope / 2)
+    assert np.abs(waves[2:] + waves[:-2] - slope * waves[1:-1]).max() < 1e-5
+    assert np.ptp(frequencies, axis=1).max() < 1e-4
+    assert len(np.unique(frequencies[:, 0].round(3))) > 15
+    assert FREQUENCIES[0] - 1e-4 < frequencies.min() < frequencies.max() < FREQUENCIES[1] + 1e-4
+    # the phase, from sin(p) and sin(w + p)
+    phases = np.arctan2(waves[0] * np.sin(frequencies), waves[1] - waves[0] * np.cos(frequencies))
+    assert min(np.diff(np.sort(row)).min() for row in phases) > 1e-4
+    assert phases.min() < -2.5 < 2.5 < phases.max()
+
+
+def test_an_attempt_that_begins_changes_nothing_for_the_others() -> None:
+    first, second = (SinusoidExploration(3, 2, 1.0, np.random.default_rng(0)) for _ in range(2))
+    policy = np.zeros((3, 2), np.float32)
+    for exploration in (first, second):
+        exploration.begin(everywhere(3), 0.0)
+        driven_steps(exploration, policy, 5)
+    first.begin(np.array([False, True, False]), 0.0)
+    left, right = driven_steps(first, policy, 20), driven_steps(second, policy, 20)
+    assert np.array_equal(left[:, [0, 2]], right[:, [0, 2]])
+    assert not np.array_equal(left[:, 1], right[:, 1])
+
+
+def test_once_the_learner_succeeds_new_attempts_are_its_own() -> None:
+    exploration = SinusoidExploration(2, 1, 1.0, np.random.default_rng(0))
+    policy = np.full((2, 1), 0.5, np.float32)
+    exploration.begin(everywhere(2), 0.0)
+    exploration.begin(np.array([True, False]), 1.0)
+    actions = driven_steps(exploration, policy, 10)
+    assert (actions[:, 0] == 0.5).all()
+    assert (actions[:, 1] != 0.5).all()

@@ -1,0 +1,295 @@
+"""SAC with policy intervention: acting, counting, and where every bootstrap value comes from."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+from small_sac import (
+    AT_G1,
+    AT_G4,
+    BEFORE_WALL,
+    ERROR,
+    PIDS,
+    START,
+    TO_G2,
+    TO_G4,
+    CheckedPeers,
+    Floats,
+    product_states,
+    small_sac,
+    small_sac_task,
+    twin,
+)
+
+from coordinator.state import RunSettings
+from t4nmtd_dist.launch.serial import SerialRun
+from t4nmtd_dist.learners.experience import Returns
+from t4nmtd_dist.learners.peers import NoPeers, PeerCritics
+from t4nmtd_dist.learners.sac import SACLearner
+from t4nmtd_dist.learners.sac_update import PeerSoftValues, SACBatch
+
+# Acting and counting
+
+
+@pytest.mark.parametrize(("name", "pid", "bound"), [("task5", "g1", 1.0), ("task1", "red", 3.5)])
+@pytest.mark.parametrize("share", [0.0, 1.0])
+def test_actions_are_within_the_bounds_and_use_all_of_them(name: str, pid: str, bound: float, share: float) -> None:
+    learner = small_sac(pid, f"sac.exploration_share={share}", "sac.learning_starts=400", name=name)
+    taken, step = [], learner.attempts.step
+    learner.attempts.step = lambda actions: (taken.append(actions.copy()), step(actions))[1]  # type: ignore
+    for _ in range(5):
+        learner.iterate(NoPeers())
+    actions = np.concatenate(taken)
+    assert actions.shape == (100, 2)
+    assert actions.dtype == np.float32
+    assert 0.8 * bound < np.abs(actions).max() <= bound
+    assert actions.min() < -0.5 * bound < 0.5 * bound < actions.max()
+    stored = learner.experience.actions[:100]
+    assert np.abs(stored).max() <= 1
+    assert np.allclose(stored * bound, actions, atol=1e-6)
+
+
+@pytest.mark.parametrize("per_step", [0.25, 0.5, 1.0, 2.5])
+def test_interactions_and_updates_are_counted_exactly(per_step: float) -> None:
+    learner = small_sac("g1", f"sac.updates_per_step={per_step}")
+    for iteration in range(1, 6):
+        assert learner.iterate(NoPeers())
+        interactions = iteration * 20
+        assert learner.attempts.interactions == interactions
+        assert learner.version == iteration
+        assert len(learner.experience) == interactions
+        due = int(per_step * interactions) - int(per_step * 48)  # 50 experiences are there at interaction 50
+        assert learner.gradient_steps == max(0, due)
+    assert learner.losses()[0] is not None
+
+
+def test_nothing_is_learned_before_there_is_enough_to_learn_from() -> None:
+    learner = small_sac("g1")
+    before = learner.weights()
+    for _ in range(2):
+        learner.iterate(NoPeers())
+    assert learner.gradient_steps == 0
+    assert learner.losses() == (None, None)
+    assert all(np.array_equal(array, before[name]) for name, array in learner.weights().items())
+
+
+def test_a_learner_without_start_states_waits() -> None:
+    learner = small_sac("g3")
+    assert not learner.iterate(NoPeers())
+    assert (learner.attempts.interactions, learner.version, len(learner.experience)) == (0, 0, 0)
+
+
+# What an update learns from
+
+
+@dataclass
+class Update:
+    """One update: its batch, how it was read from the replay, what peers said, and the targets that came out.
+
+    ``own_targets`` are those that a twin of the learner computes when it is told of no peer.
+    """
+
+    batch: SACBatch
+    returns: Returns
+    told: PeerSoftValues
+    alpha: float
+    targets: Floats
+    own_targets: Floats
+
+
+def updates_of(learner: SACLearner, peers: PeerCritics, iterations: int = 4) -> list[Update]:
+    """Let a learner train, and look into every update."""
+    updates: list[Update] = []
+    drawn: list[Returns] = []
+    read, update = learner.experience.returns, learner.updater.update
+
+    def reading(*arguments: Any) -> Returns:
+        drawn.append(read(*arguments))
+        return drawn[-1]
+
+    def updating(batch: SACBatch, told: PeerSoftValues) -> None:
+        alpha, other = float(np.exp(learner.weights()["log_alpha"][0])), twin(learner.updater)
+        other.update(batch)
+        update(batch, told)
+        targets, own = np.array(learner.updater.targets), np.array(other.targets)
+        updates.append(Update(batch, drawn[len(updates)], told, alpha, targets, own))
+
+    learner.experience.returns, learner.updater.update = reading, updating  # type: ignore[method-assign]
+    for _ in range(iterations):
+        learner.iterate(peers)
+    assert len(updates) == learner.gradient_steps > 20
+    return updates
+
+
+def q_of(states: Any) -> NDArray[np.int64]:
+    one_hots = states.numpy()[:, -6:]
+    assert (np.sort(one_hots)[:, -2:] == [0, 1]).all()
+    found: NDArray[np.int64] = one_hots.argmax(1)
+    return found
+
+
+def test_time_outs_bootstrap_and_errors_do_not() -> None:
+    """Trap: a time-out treated as a terminal."""
+    learner = small_sac("g1", "learner.attempt_steps=3", "learner.gamma=0.5", starts=((START, BEFORE_WALL),))
+    cut_early, failed = 0, 0
+    for update in updates_of(learner, NoPeers()):
+        discounts, rewards = update.batch.discounts.numpy(), update.batch.rewards.numpy()
+        error = q_of(update.batch.next_states) == ERROR
+        assert ((discounts == 0) == error).all()
+        assert (update.targets[error] == rewards[error]).all()
+        assert (update.targets[~error] != rewards[~error]).all()
+        assert set(discounts[~error].tolist()) <= {0.5, 0.25, 0.125}
+        cut_early += int((discounts[~error] > 0.125).sum())
+        failed += int(error.sum())
+    assert min(cut_early, failed) > 20
+
+
+def test_acceptance_is_terminal_and_paid() -> None:
+    learner = small_sac("g4", "learner.reward_scale=0.1", "sac.n_step=1", starts=((TO_G4, AT_G4),))
+    for update in updates_of(learner, NoPeers()):
+        accepted = q_of(update.batch.next_states) == 5
+        assert (update.batch.discounts.numpy()[accepted] == 0).all()
+        assert accepted.any()
+        paid = 0.1 * (100 - small_sac_task().rho[TO_G4])
+        assert update.targets[accepted] == pytest.approx(paid, abs=1e-4)
+
+
+def crossing_learner(*flags: str, silent: int = 0) -> tuple[SACLearner, CheckedPeers]:
+    """A learner of g1 that begins in its target, half of the time, and its peers."""
+    learner = small_sac("g1", "learner.attempt_steps=6", *flags, starts=((START, AT_G1),))
+    others = {pid: small_sac(pid, *flags, seed=seed) for seed, pid in enumerate(PIDS[1:], 1)}
+    return learner, CheckedPeers(others, silent)
+
+
+@pytest.mark.parametrize("n_step", [1, 4])
+@pytest.mark.parametrize("shaping", ["paper", "potential", "subtask"])
+def test_across_a_boundary_the_peers_pair_enters_the_target(shaping: str, n_step: int) -> None:
+    """Trap: a peer's value taken with the learner's own DFA one-hot wrong or shifted by one."""
+    learner, peers = crossing_learner(f"learner.shaping={shaping}", f"sac.n_step={n_step}")
+    updates = updates_of(learner, peers)
+    crossed = 0
+    for update in updates:
+        boundary, batch = np.flatnonzero(update.returns.boundary), update.batch
+        assert sorted(update.told.rows) == boundary.tolist()
+        pairs = zip(update.told.values, update.told.log_probs, strict=True)
+        for row, (value, log_prob) in zip(update.told.rows, pairs, strict=True):
+            assert q_of(batch.next_states)[row] == TO_G2
+            soft = float(batch.discounts[row]) * (value - update.alpha * log_prob)
+            assert update.targets[row] == pytest.approx(float(batch.rewards[row]) + soft, abs=1e-6)
+        inside = np.setdiff1d(np.arange(len(update.targets)), boundary)
+        assert (update.targets[inside] == update.own_targets[inside]).all()
+        assert (update.targets[boundary] != update.own_targets[boundary]).all()
+        crossed += len(boundary)
+    assert crossed > 50
+    assert peers.evaluated == crossed == peers.counts.answered
+
+
+def test_what_is_asked_is_the_state_after_the_change_read_by_the_peer() -> None:
+    learner, peers = crossing_learner("sac.n_step=3")
+    updates = updates_of(learner, peers)
+    asked = iter(peers.questions)
+    seen = learner.experience.next_observations
+    for update in updates:
+        for row in np.flatnonzero(update.returns.boundary):
+            number, pid, observation, q = next(asked)
+            assert (number, pid, q) == (row, "g2", TO_G2)
+            assert pid in small_sac_task().decomposition.available(q)
+            assert np.array_equal(observation, seen[update.returns.last[row]])
+            expected = product_states(observation[None], np.array([q]))[0]
+            assert np.array_equal(update.batch.next_states[row].numpy(), expected)
+
+
+def test_another_one_hot_would_be_another_answer() -> None:
+    learner = small_sac("g2")
+    observations = np.random.default_rng(0).uniform(-1, 1, (5, 23)).astype(np.float32)
+    generator = learner.updater.optimiser_state()
+    answers = []
+    for q in range(6):
+        learner.updater.load_optimiser_state(generator)
+        answers.append(learner.critic_values(observations, np.full(5, q, np.int32)))
+    for q in range(6):
+        assert all(np.abs(answers[q] - answers[other]).min() > 1e-5 for other in range(q))
+
+
+def test_rows_whose_peer_did_not_answer_use_the_own_critic() -> None:
+    learner, peers = crossing_learner(silent=3)
+    own = 0
+    for update in updates_of(learner, peers):
+        boundary = np.flatnonzero(update.returns.boundary)
+        unanswered = np.setdiff1d(boundary, update.told.rows)
+        assert (update.targets[unanswered] == update.own_targets[unanswered]).all()
+        assert (update.targets[update.told.rows] != update.own_targets[update.told.rows]).all()
+        own += len(unanswered)
+    assert own > 20
+
+
+def test_a_learner_that_hands_over_to_itself_asks_nobody() -> None:
+    learner = small_sac("g1", starts=((START, AT_G1),))
+    learner.high_level.choose = lambda q, rng: "g1"  # type: ignore[method-assign]
+    peers = CheckedPeers({})
+    updates = updates_of(learner, peers)
+    assert sum(update.returns.boundary.sum() for update in updates) > 20
+    assert peers.questions == []
+    assert all((update.targets == update.own_targets).all() for update in updates)
+
+
+# Relabelling
+
+
+@pytest.mark.parametrize("share", [0.0, 0.5, 1.0])
+def test_a_share_of_a_batch_is_read_in_other_states_of_the_subtask(share: float) -> None:
+    """Task 6 goes through g1 in ten of its automaton's transitions."""
+    learner = small_sac("g1", f"sac.relabel_share={share}", "sac.batch=64", "sac.n_step=1", name="task6")
+    available = set(np.flatnonzero(learner._tables.available).tolist())
+    assert len(available) > 4
+    states, experience = small_sac_task(name="task6").dfa.states, learner.experience
+    for _ in range(3):
+        learner.iterate(NoPeers())
+    read, own = [], []
+    for _ in range(20):
+        batch = learner._draw(NoPeers())
+        q = batch.states.numpy()[:, -states:].argmax(1)
+        observations = batch.states.numpy()[:, :-states]
+        rows = [int(np.flatnonzero((experience.observations == seen).all(1))[0]) for seen in observations]
+        read += q.tolist()
+        own += experience.q[rows].tolist()
+    other = np.mean(np.array(read) != own)
+    assert set(read) <= available
+    assert other == pytest.approx(share * (1 - 1 / len(available)), abs=0.06)
+    assert share == 0 or set(read) == available
+
+
+def test_what_a_relabelled_row_leads_to_is_computed_from_its_letter() -> None:
+    learner = small_sac("g1", "sac.relabel_share=1", "sac.n_step=1", starts=(), name="task6")
+    task, experience = small_sac_task(name="task6"), learner.experience
+    for _ in range(4):
+        learner.iterate(NoPeers())
+    rows = np.arange(len(experience))
+    for q in np.flatnonzero(learner._tables.available):
+        found = experience.returns(rows, np.full(len(rows), q, np.int32), learner._tables, task.dfa.delta, 0.99, 1)
+        assert found.q_next.tolist() == [int(task.dfa.delta[q, letter]) for letter in experience.letters[rows]]
+
+
+# Intervention in a run
+
+
+def critics_after(mode: str, rounds: int = 5) -> dict[str, NDArray[np.float32]]:
+    """Critic parameters of g1 after some serial rounds that often begin in its target."""
+    task = small_sac_task(f"learner.intervention={mode}", "learner.attempt_steps=6")
+    run = SerialRun(task, RunSettings(seed=0, max_interactions=10**9, boot_id="b"), lambda: 0.0)
+    run.sessions["g1"].buffer.add(START, AT_G1)
+    for _ in range(rounds):
+        run.round()
+    asked = run.sessions["g1"]._stats().intervention.asked
+    assert (asked > 0) == (mode != "off")
+    return {k: v for k, v in run.sessions["g1"].learner.weights().items() if k.startswith("critics")}
+
+
+def test_intervention_changes_the_critic_and_only_that_way_of_bootstrapping() -> None:
+    on, again, off = critics_after("query"), critics_after("local"), critics_after("off")
+    assert all(np.array_equal(on[name], again[name]) for name in on)
+    assert any(not np.array_equal(on[name], off[name]) for name in on)
