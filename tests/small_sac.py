@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from t4nmtd_dist.compiled import CompiledTask, compile_task
 from t4nmtd_dist.initial_state_buffer import InitialStateBuffer
 from t4nmtd_dist.learners.build import build_learner
-from t4nmtd_dist.learners.peers import LocalPeers
+from t4nmtd_dist.learners.peers import LocalPeers, PeerValues
 from t4nmtd_dist.learners.sac import SACLearner
 from t4nmtd_dist.learners.sac_update import SACUpdater
 from t4nmtd_dist.tasks import load_task
@@ -86,6 +86,7 @@ class CheckedPeers(LocalPeers):
         super().__init__({pid: self._checked(learner) for pid, learner in learners.items()})
         self._silent, self._turn = silent, 0
         self.questions: list[tuple[int, str, Floats, int]] = []
+        self.gathered: list[PeerValues] = []
         self.evaluated = 0
 
     def _checked(self, learner: SACLearner):  # type: ignore[no-untyped-def]
@@ -103,3 +104,7 @@ class CheckedPeers(LocalPeers):
         self._turn += 1
         if not self._silent or self._turn % self._silent:
             super().ask(row, pid, observation, q)
+
+    def gather(self) -> PeerValues:
+        self.gathered.append(super().gather())
+        return self.gathered[-1]

@@ -302,7 +302,7 @@ def test_well_packed_nonsense_never_crashes(kind: str, body: Any, arrays: Any, f
 
 
 @settings(max_examples=60)
-@given(st.sampled_from(EXAMPLES), st.data())
+@given(st.sampled_from([example for example in EXAMPLES if example.__struct_fields__]), st.data())
 def test_one_changed_field_never_crashes(message: Message, data: st.DataObject) -> None:
     body = msgspec.to_builtins(message)
     kind = body.pop("type")

@@ -83,6 +83,36 @@ def test_a_learner_without_start_states_waits() -> None:
     assert (learner.attempts.interactions, learner.version, len(learner.experience)) == (0, 0, 0)
 
 
+def test_what_is_stored_is_what_happened() -> None:
+    learner = small_sac("g1", "learner.attempt_steps=4", "sac.learning_starts=400", starts=((START, AT_G1),))
+    for _ in range(3):
+        learner.iterate(NoPeers())
+    found, count = learner.experience, len(learner.experience)
+    begun = found.ended[: count - 2]
+    assert begun.any()
+    after, seen = found.next_observations[: count - 2], found.observations[2:count]  # two copies take turns
+    assert (after[~begun] == seen[~begun]).all()
+    assert (after[begun] != seen[begun]).any(axis=1).all()
+    assert (found.observations[:count] != found.next_observations[:count]).any()
+    delta = small_sac_task().dfa.delta
+    after_q = delta[found.q[: count - 2], found.letters[: count - 2]]
+    assert (after_q[~begun] == found.q[2:count][~begun]).all()
+    assert (found.q[2:count][begun] == START).all()
+    assert (after_q == TO_G2).any()
+
+
+def test_exploration_is_decided_when_an_attempt_begins_and_at_no_other_time() -> None:
+    learner = small_sac("g1", "learner.attempt_steps=4", "sac.learning_starts=400", starts=((START, AT_G1),))
+    told: list[tuple[list[bool], float]] = []
+    learner._exploration.begin = lambda copies, success: told.append((copies.tolist(), success))  # type: ignore
+    learner.iterate(NoPeers())
+    learner.iterate(NoPeers())
+    ended = learner.experience.ended[:40].reshape(20, 2).tolist()
+    assert [copies for copies, _ in told] == [[True, True], *ended[:-1]]
+    assert told[0][1] == 0.0
+    assert told[-1][1] > 0, "half of the attempts begin in the target"
+
+
 # What an update learns from
 
 
@@ -172,11 +202,10 @@ def test_across_a_boundary_the_peers_pair_enters_the_target(shaping: str, n_step
     learner, peers = crossing_learner(f"learner.shaping={shaping}", f"sac.n_step={n_step}")
     updates = updates_of(learner, peers)
     crossed = 0
-    for update in updates:
+    for update, answers in zip(updates, peers.gathered, strict=True):
         boundary, batch = np.flatnonzero(update.returns.boundary), update.batch
-        assert sorted(update.told.rows) == boundary.tolist()
-        pairs = zip(update.told.values, update.told.log_probs, strict=True)
-        for row, (value, log_prob) in zip(update.told.rows, pairs, strict=True):
+        assert sorted(answers.rows) == boundary.tolist()
+        for row, (value, log_prob) in zip(answers.rows, answers.values.reshape(-1, 2), strict=True):
             assert q_of(batch.next_states)[row] == TO_G2
             soft = float(batch.discounts[row]) * (value - update.alpha * log_prob)
             assert update.targets[row] == pytest.approx(float(batch.rewards[row]) + soft, abs=1e-6)
@@ -201,6 +230,22 @@ def test_what_is_asked_is_the_state_after_the_change_read_by_the_peer() -> None:
             assert np.array_equal(observation, seen[update.returns.last[row]])
             expected = product_states(observation[None], np.array([q]))[0]
             assert np.array_equal(update.batch.next_states[row].numpy(), expected)
+
+
+def test_peers_are_asked_for_the_next_batch_before_this_one_is_trained() -> None:
+    """So that another process has time to answer."""
+    learner, peers = crossing_learner()
+    ahead, update = [], learner.updater.update
+
+    def updating(batch: SACBatch, told: PeerSoftValues) -> None:
+        ahead.append(len(peers.questions) - peers.evaluated)
+        update(batch, told)
+
+    learner.updater.update = updating  # type: ignore[method-assign]
+    for _ in range(4):
+        learner.iterate(peers)
+    assert np.mean(ahead) > 1
+    assert peers.evaluated == sum(len(answers.rows) for answers in peers.gathered)
 
 
 def test_another_one_hot_would_be_another_answer() -> None:

@@ -293,6 +293,13 @@ def test_soft_values_are_the_smaller_target_critic_of_an_action_drawn_by_the_act
     assert np.isfinite(log_probs).all()
 
 
+def test_what_was_asked_before_does_not_change_actions() -> None:
+    updater, states = SACUpdater(5, 2, SMALL, seed=1), random_batch(9, 5, 2).states.numpy()
+    together = updater.act(states, deterministic=True)
+    apart = [updater.act(states[first:last], deterministic=True) for first, last in ((0, 2), (2, 3), (3, 9))]
+    np.testing.assert_allclose(np.concatenate(apart), together, rtol=1e-5, atol=1e-7)
+
+
 def test_actions_lie_within_bounds_and_the_deterministic_one_is_the_mode() -> None:
     updater, states = SACUpdater(5, 2, SMALL, seed=1), np.full((2000, 5), 0.3, np.float32)
     mode, drawn = updater.act(states, deterministic=True), updater.act(states, deterministic=False)

@@ -262,7 +262,9 @@ class Worker:
     def _peers_of(self, session: LearnerSession) -> QueryPeers | LocalPeers | NoPeers:
         if session.intervention == "off":
             return NoPeers()
-        return QueryPeers(self._context, f"{self._options.instance}/{session.pid}", self._keys)
+        return QueryPeers(
+            self._context, f"{self._options.instance}/{session.pid}", self._keys, session.learner.value_shape
+        )
 
     def _end(self, pid: str) -> None:
         self._waiting.pop(pid, None)

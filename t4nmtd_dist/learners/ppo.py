@@ -169,6 +169,7 @@ class PPOLearner:
         self._optimiser = torch.optim.Adam(self.network.parameters(), lr=ppo.learning_rate, eps=1e-5, fused=True)
         self._rollout = Rollout.empty(ppo.rollout, count, observation_size + dfa_states, observation_size)
         self.published = PublishedCritic(self.network.critic, observation_size, dfa_states)
+        self.value_shape: tuple[int, ...] = ()
         self.gradient_steps = 0
         self.version = 0
         self._last_losses: tuple[Tensor, Tensor] | None = None

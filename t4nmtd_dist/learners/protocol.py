@@ -40,6 +40,7 @@ class Learner(Protocol):
     attempts: Attempts
     version: int
     gradient_steps: int
+    value_shape: tuple[int, ...]
 
     @property
     def published(self) -> PublishedValues:

@@ -77,6 +77,7 @@ class SACLearner:
         self._owed = 0.0
         self._drawn: SACBatch | None = None
         self._fresh = np.ones(count, np.bool_)
+        self.value_shape: tuple[int, ...] = (2,)
         self.gradient_steps = 0
         self.version = 0
 

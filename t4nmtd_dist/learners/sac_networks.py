@@ -208,6 +208,39 @@ def _layer_activations(shape: StackShape, rows: int, width: int, dtype: torch.dt
     return LayerActivations(linear, hidden, delta, [])
 
 
+class GrowingRoom:
+    """Room for evaluations of any number of rows, one after the other: kept, and replaced by a larger one if needed.
+
+    Args:
+        shape: the stack's sizes.
+    """
+
+    def __init__(self, shape: StackShape) -> None:
+        self._shape, self._largest = shape, Activations(shape, 1)
+
+    def of(self, rows: int) -> Activations:
+        """Room for ``rows`` rows; what the last one held is lost."""
+        if rows > self._largest.rows:
+            self._largest = Activations(self._shape, rows)
+        return self._largest if rows == self._largest.rows else self._part(rows)
+
+    def _part(self, rows: int) -> Activations:
+        part = object.__new__(Activations)
+        part.rows, part.outputs = rows, _repacked(self._largest.outputs, 2, rows)
+        part.layers = []
+        for layer in self._largest.layers:
+            hidden, delta = _repacked(layer.hidden, 1, rows), _repacked(layer.delta, 1, rows)
+            linear = hidden if layer.linear is layer.hidden else _repacked(layer.linear, 1, rows)
+            part.layers.append(LayerActivations(linear, hidden, delta, []))
+        return part
+
+
+def _repacked(buffer: Tensor, axis: int, rows: int) -> Tensor:
+    """The beginning of a buffer as a contiguous tensor with fewer rows."""
+    size = [rows if number == axis else length for number, length in enumerate(buffer.shape)]
+    return buffer.view(-1)[: math.prod(size)].view(size)
+
+
 def evaluate(layers: Layers, inputs: Tensor, room: Activations) -> Tensor:
     """Outputs [n, outputs, rows] of all networks of a stack on the same inputs [rows, inputs]; they lie in ``room``."""
     below = inputs.expand(len(layers.head_bias), *inputs.shape)

@@ -21,7 +21,7 @@ from t4nmtd_dist.errors import PolicyError
 from t4nmtd_dist.learners.flat_adam import FlatAdam
 from t4nmtd_dist.learners.networks import Weights
 from t4nmtd_dist.learners.sac_backward import chosen_input_gradient, weight_gradients
-from t4nmtd_dist.learners.sac_networks import Activations, Stack, StackShape, evaluate, layers_of
+from t4nmtd_dist.learners.sac_networks import Activations, GrowingRoom, Stack, StackShape, evaluate, layers_of
 from t4nmtd_dist.learners.squashed_gaussian import (
     Reals,
     SquashedSample,
@@ -164,6 +164,7 @@ class SACUpdater:
         self._critic_gradients = layers_of(self._optimisers["critics"].gradient, critics)
         entropy = settings.target_entropy
         self._target_entropy = -float(action_size) if entropy is None else entropy
+        self._acting_room, self._valuing_room = GrowingRoom(actor), GrowingRoom(critics)
         self._room: _Room | None = None
         self._last: _LastUpdate | None = None
 
@@ -177,8 +178,7 @@ class SACUpdater:
         return np.ascontiguousarray(drawn.T, np.float32)
 
     def _actor_outputs(self, states: Tensor) -> Reals:
-        room = Activations(self._actor.shape, len(states))
-        outputs: Reals = evaluate(self._actor.layers, states, room)[0].numpy()
+        outputs: Reals = evaluate(self._actor.layers, states, self._acting_room.of(len(states)))[0].numpy()
         return outputs
 
     def _sample(self, outputs: Reals) -> SquashedSample:
@@ -195,8 +195,7 @@ class SACUpdater:
         inputs[:, : self._state_size] = torch.from_numpy(states)
         sample = self._sample(self._actor_outputs(inputs[:, : self._state_size]))
         inputs[:, self._state_size :] = torch.from_numpy(sample.actions.T)
-        room = Activations(self._targets.shape, len(states))
-        values = evaluate(self._targets.layers, inputs, room)[:, 0].numpy()
+        values = evaluate(self._targets.layers, inputs, self._valuing_room.of(len(states)))[:, 0].numpy()
         return values.min(0), sample.log_probs.astype(np.float32, copy=False)
 
     # Learning

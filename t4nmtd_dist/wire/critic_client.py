@@ -49,10 +49,14 @@ class QueryPeers:
         context: the process's ZeroMQ context.
         sender: the name that requests carry.
         keys: this worker's own, if the coordinator has keys; each peer's public key comes with its address.
+        value_shape: shape of one answer: () for PPO, (2,) for SAC; any other counts as none.
     """
 
-    def __init__(self, context: Context, sender: str, keys: ClientKeys | None = None) -> None:
+    def __init__(
+        self, context: Context, sender: str, keys: ClientKeys | None = None, value_shape: tuple[int, ...] = ()
+    ) -> None:
         self._context, self._sender, self._keys = context, sender, keys
+        self._value_shape = value_shape
         self._lines: dict[str, _Line] = {}
         self._next_id = 0
         self._answers: list[tuple[list[int], NDArray[np.float32]]] = []
@@ -142,7 +146,7 @@ class QueryPeers:
             line.misses = min(line.misses, MISSES_UNTIL_NO_WAIT - 1)  # it answers again: wait for it once more
             return
         values = envelope.arrays.get("value")
-        if not isinstance(reply, ValueReply) or values is None or values.shape not in ((len(rows),), (len(rows), 2)):
+        if not isinstance(reply, ValueReply) or values is None or values.shape != (len(rows), *self._value_shape):
             return
         if values.dtype != np.float32 or not np.isfinite(values).all():
             return
