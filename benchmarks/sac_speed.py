@@ -1,8 +1,10 @@
 """Gradient updates per second of our SAC against Stable-Baselines3's, same networks and batch, one thread each.
 
-An update is all of: sampling the batch, critics, actor, entropy coefficient, target networks. The two take turns, so
-that a busy machine slows both alike; processor time is what counts, wall-clock time is shown beside it. The share of
-the peak is the update's necessary arithmetic against the rate of square sgemm products measured in the same turns.
+An update is all of: sampling the batch, critics, actor, entropy coefficient, target networks. Ours samples as a learner
+does with the default settings: a share from before successes, a share read in drawn DFA states, n-step returns. The
+two take turns, so that a busy machine slows both alike; processor time is what counts, wall-clock time is shown
+beside it. The share of the peak is the update's necessary arithmetic against the rate of square sgemm products
+measured in the same turns.
 Run ``python benchmarks/sac_speed.py [--json]``; it needs Stable-Baselines3 (the ``test`` extra).
 """
 
@@ -10,7 +12,9 @@ from __future__ import annotations
 
 import os
 
-os.environ["OMP_NUM_THREADS"] = "1"  # before numpy and torch are imported
+os.environ["OMP_NUM_THREADS"] = "1"  # these before numpy and torch are imported
+os.environ["OPENBLAS_NUM_THREADS"] = "1"
+os.environ["MKL_NUM_THREADS"] = "1"
 
 import argparse
 import itertools
@@ -26,12 +30,18 @@ import torch
 from stable_baselines3 import SAC
 from stable_baselines3.common.logger import Logger
 
+from t4nmtd_dist.compiled import CompiledTask, compile_task
+from t4nmtd_dist.config import SACConfig
+from t4nmtd_dist.learners.experience import Experience
+from t4nmtd_dist.learners.networks import product_state
 from t4nmtd_dist.learners.products import multiply
-from t4nmtd_dist.learners.replay import Experiences, ReplayBuffer
-from t4nmtd_dist.learners.sac_update import SACSettings, SACUpdater
+from t4nmtd_dist.learners.sac_update import SACBatch, SACSettings, SACUpdater
+from t4nmtd_dist.product import SubtaskTables, subtask_tables
+from t4nmtd_dist.tasks import load_task
 
 OBSERVATION, ACTIONS, HIDDEN, BATCH = 76, 2, (256, 256), 256
-STORED = 20_000
+TASK, PID = "task6", "g1"  # its automaton is read, its world is not opened
+STORED, WORLDS, ATTEMPT, CHANGES, GAMMA = 20_000, 4, 50, 0.05, 0.99
 PEAK_SIDE = 256
 
 
@@ -60,33 +70,58 @@ class Timed:
         self.wall.append((time.perf_counter() - wall) / self.repeats)
 
 
-def random_experiences() -> Experiences:
-    rng = np.random.default_rng(0)
-    draw = rng.standard_normal
-    return Experiences(
-        observations=draw((STORED, OBSERVATION), np.float32),
-        q=np.zeros(STORED, np.int32),
-        actions=rng.uniform(-1, 1, (STORED, ACTIONS)).astype(np.float32),
-        rewards=draw(STORED, np.float32),
-        discounts=np.full(STORED, 0.99, np.float32),
-        next_observations=draw((STORED, OBSERVATION), np.float32),
-        next_q=np.zeros(STORED, np.int32),
-        boundary=np.zeros(STORED, np.bool_),
-    )
+class Sampling:
+    """Batches from a replay of random experience of one sub-task, drawn as ``learners.sac`` draws them."""
+
+    def __init__(self) -> None:
+        task = compile_task(load_task(TASK))
+        self._delta, self._states = task.dfa.delta, task.dfa.states
+        self._tables: SubtaskTables = subtask_tables(
+            task.dfa, task.decomposition, PID, task.rho, gamma=GAMMA, shaping=task.config.learner.shaping
+        )
+        self._readable = np.flatnonzero(self._tables.available).astype(np.int32)
+        self._rng = np.random.default_rng(0)
+        self._experience = self._filled(task)
+
+    def _filled(self, task: CompiledTask) -> Experience:
+        """Observations are as wide as leaves 76 for the networks; every 50th step ends an attempt, half succeed."""
+        rng, width = self._rng, OBSERVATION - task.dfa.states
+        experience = Experience(STORED // WORLDS, WORLDS, width, ACTIONS)
+        for step in range(STORED // WORLDS):
+            ended = np.full(WORLDS, step % ATTEMPT == ATTEMPT - 1)
+            experience.add(
+                rng.standard_normal((WORLDS, width), np.float32),
+                rng.choice(self._readable, WORLDS),
+                rng.uniform(-1, 1, (WORLDS, ACTIONS)).astype(np.float32),
+                np.where(rng.random(WORLDS) < CHANGES, rng.integers(self._delta.shape[1], size=WORLDS), 0),
+                rng.standard_normal((WORLDS, width), np.float32),
+                np.zeros(WORLDS, np.bool_),
+                ended,
+                ended & (rng.random(WORLDS) < 0.5),
+            )
+        return experience
+
+    def draw(self, sac: SACConfig) -> SACBatch:
+        """A batch for the networks."""
+        experience, rng = self._experience, self._rng
+        rows = experience.sample(BATCH, sac.success_share, rng)
+        other = self._readable[rng.integers(len(self._readable), size=BATCH)]
+        q = np.where(rng.random(BATCH) < sac.relabel_share, other, experience.q[rows])
+        returns = experience.returns(rows, q, self._tables, self._delta, GAMMA, sac.n_step)
+        return SACBatch(
+            states=product_state(experience.observations[rows], q, self._states),
+            actions=torch.from_numpy(experience.actions[rows]),
+            rewards=torch.from_numpy(returns.reward.astype(np.float32)),
+            discounts=torch.from_numpy(returns.discount.astype(np.float32)),
+            next_states=product_state(experience.next_observations[returns.last], returns.q_next, self._states),
+        )
 
 
 def our_update(*, layer_norm: bool, actor_every: int = 1) -> Callable[[], object]:
     settings = SACSettings(hidden=HIDDEN, layer_norm=layer_norm, actor_every=actor_every)
     updater = SACUpdater(OBSERVATION, ACTIONS, settings, seed=0)
-    replay = ReplayBuffer(STORED, OBSERVATION, 0, ACTIONS, seed=0)
-    replay.add(random_experiences())
-    batch = replay.empty_batch(BATCH)
-
-    def update() -> None:
-        replay.sample(batch)
-        updater.update(batch.tensors)
-
-    return update
+    sampling, sac = Sampling(), SACConfig()
+    return lambda: updater.update(sampling.draw(sac))
 
 
 def their_updates(count: int) -> Callable[[], object]:
@@ -94,12 +129,11 @@ def their_updates(count: int) -> Callable[[], object]:
     policy = {"net_arch": list(HIDDEN)}
     sac = SAC("MlpPolicy", Spaces(), buffer_size=STORED, batch_size=BATCH, policy_kwargs=policy, device="cpu", seed=0)
     sac.set_logger(Logger(None, []))
-    stored = random_experiences()
-    for row in range(STORED):
-        sac.replay_buffer.add(
-            stored.observations[row], stored.next_observations[row], stored.actions[row], stored.rewards[row],
-            np.zeros(1), [{}],
-        )  # fmt: skip
+    rng = np.random.default_rng(0)
+    for _ in range(STORED):
+        observation, next_observation = rng.standard_normal((2, OBSERVATION), np.float32)
+        action = rng.uniform(-1, 1, ACTIONS).astype(np.float32)
+        sac.replay_buffer.add(observation, next_observation, action, rng.standard_normal(1), np.zeros(1), [{}])
     return lambda: sac.train(count, BATCH)
 
 

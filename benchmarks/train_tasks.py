@@ -1,9 +1,15 @@
-"""Train tasks over seeds, evaluate the policies, and print the table of docs/results.md.
+"""Train tasks over seeds, evaluate the policies, keep what is small, and print the table of docs/results.md.
 
     python benchmarks/train_tasks.py --tasks task7 task8 --seeds 0 1 2 3 4
+    python benchmarks/train_tasks.py --tasks task7 --seeds 0 1 --keep    # trains nothing, keeps what has finished
+    python benchmarks/train_tasks.py --table                             # all that is kept, from benchmarks/results
 
-Every run is a `t4nmtd train` of its own; one that is already in ``--runs`` is not repeated. The small files behind
-the table (summary, settings, evaluations) are copied to benchmarks/results/TASK-sSEED.
+Every run is a `t4nmtd train` of its own; one that is already in ``--runs`` is not repeated. The small files behind the
+table (summary, settings, evaluations, at most 200 rows of every learner's metrics) are copied to
+benchmarks/results/TASK-sSEED, the policy of every task's lowest solved seed to benchmarks/policies/TASK.
+
+In the table, the means of interactions, wall-clock time, updates and length are of the solved runs; those of success,
+perturbed success and the own critic's share are of all runs.
 """
 
 from __future__ import annotations
@@ -11,24 +17,35 @@ from __future__ import annotations
 import argparse
 import json
 import shutil
+import statistics
 import subprocess
 import sys
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-RESULTS = Path(__file__).parent / "results"
+from t4nmtd_dist.runs.exported import ACTORS_FILE, POLICY_FILE
+
+HOME = Path(__file__).parent
 KEPT = ("summary.json", "config.toml", "versions.json", "metrics/evaluations.csv")
+MOST_ROWS = 200
+MOST_POLICY_BYTES = 2_000_000
 EPISODES = 100
 PERTURB = 20
+COLUMNS = (
+    "task", "seed", "solved", "interactions", "wall s", "updates", "length", "success", "perturbed", "own critic used",
+)  # fmt: skip
 
 
-def train(task: str, seed: int, run: Path, flags: list[str]) -> dict[str, Any]:
-    """Train one task with one seed, unless that was done before; its summary."""
+# Runs
+
+
+def train(task: str, seed: int, run: Path, flags: list[str]) -> None:
+    """Train one task with one seed, unless that was done before."""
     if not (run / "summary.json").exists():
         command = ["t4nmtd", "train", "--task", task, "--seed", str(seed), "--run-dir", str(run), "--no-dashboard"]
         subprocess.run([*_program(command), *flags], check=False)
-    summary: dict[str, Any] = json.loads((run / "summary.json").read_text(encoding="utf-8"))
-    return summary
 
 
 def evaluate(run: Path, perturb: int) -> dict[str, Any]:
@@ -43,24 +60,138 @@ def _program(command: list[str]) -> list[str]:
     return [str(Path(sys.executable).with_name(command[0])), *command[1:]]
 
 
-def keep(run: Path, name: str, extra: dict[str, Any]) -> None:
-    """Copy the small files of a run to benchmarks/results."""
-    home = RESULTS / name
-    home.mkdir(parents=True, exist_ok=True)
+# What is kept
+
+
+def keep(run: Path, name: str, evaluation: dict[str, Any], home: Path = HOME) -> None:
+    """Copy the small files of a run to ``home``/results/``name``, in place of what was there."""
+    kept = home / "results" / name
+    shutil.rmtree(kept, ignore_errors=True)
+    (kept / "metrics").mkdir(parents=True)
     for file in KEPT:
-        shutil.copy(run / file, home / Path(file).name)
-    (home / "evaluation.json").write_text(json.dumps(extra, indent=1), encoding="utf-8")
+        shutil.copyfile(run / file, kept / Path(file).name)
+    for path in sorted((run / "metrics").glob("*.csv")):
+        if path.name != "evaluations.csv":
+            lines = path.read_text(encoding="utf-8").splitlines(keepends=True)
+            (kept / "metrics" / path.name).write_text("".join(thinned(lines)), encoding="utf-8")
+    (kept / "evaluation.json").write_text(json.dumps(evaluation, indent=1), encoding="utf-8")
 
 
-def row(task: str, seed: int, summary: dict[str, Any], plain: dict[str, Any], perturbed: dict[str, Any]) -> str:
-    """One line of the table."""
+def thinned(lines: Sequence[str], most: int = MOST_ROWS) -> list[str]:
+    """The header and at most ``most`` rows (2 or more), evenly spaced, the first and the last among them."""
+    header, rows = lines[:1], lines[1:]
+    if len(rows) > most:
+        rows = [rows[i * (len(rows) - 1) // (most - 1)] for i in range(most)]
+    return [*header, *rows]
+
+
+def keep_policy(run: Path, task: str, seed: int, home: Path = HOME) -> None:
+    """Copy the policy of a run to ``home``/policies, if its seed is the task's lowest solved one among the results."""
+    if seed != min((row.seed for row in read_rows(home) if row.task == task and row.solved), default=None):
+        return
+    files = [run / "policy" / name for name in (POLICY_FILE, ACTORS_FILE)]
+    size = sum(path.stat().st_size for path in files)
+    if size > MOST_POLICY_BYTES:
+        _say(f"the policy of {run.name} has {size:,} bytes, more than {MOST_POLICY_BYTES:,}: it is not kept")
+        return
+    kept = home / "policies" / task
+    shutil.rmtree(kept, ignore_errors=True)
+    kept.mkdir(parents=True)
+    for path in files:
+        shutil.copyfile(path, kept / path.name)
+
+
+def _say(text: str) -> None:
+    print(text, file=sys.stderr, flush=True)
+
+
+# The table
+
+
+@dataclass(frozen=True)
+class Row:
+    """What the table says of a run; success and shares from 0 to 1."""
+
+    task: str
+    seed: int
+    solved: bool
+    interactions: int
+    wall_s: float
+    updates: int
+    length: float
+    success: float
+    perturbed: float
+    own_share: float
+
+    def line(self) -> str:
+        """The run's line of the table."""
+        return _line(self.task, str(self.seed), "yes" if self.solved else "no", [self], [self])
+
+
+def read_rows(home: Path = HOME) -> list[Row]:
+    """All runs in ``home``/results, by task and seed."""
+    rows = [_read_row(path.parent) for path in (home / "results").glob("*/summary.json")]
+    return sorted(rows, key=lambda row: (row.task, row.seed))
+
+
+def _read_row(kept: Path) -> Row:
+    summary = json.loads((kept / "summary.json").read_text(encoding="utf-8"))
+    evaluation = json.loads((kept / "evaluation.json").read_text(encoding="utf-8"))
     asked = summary["intervention"]["asked"] or 1
-    return (
-        f"| {task} | {seed} | {'yes' if summary['solved'] else 'no'} | {summary['interactions']:,} "
-        f"| {summary['wall_s']:.0f} | {summary['gradient_steps']:,} | {plain['mean_length']:.0f} "
-        f"| {plain['success_rate']:.0%} | {perturbed['success_rate']:.0%} "
-        f"| {summary['intervention']['own_used'] / asked:.1%} |"
+    return Row(
+        summary["task"],
+        summary["seed"],
+        summary["solved"],
+        summary["interactions"],
+        summary["wall_s"],
+        summary["gradient_steps"],
+        evaluation["plain"]["mean_length"],
+        evaluation["plain"]["success_rate"],
+        evaluation["perturbed"]["success_rate"],
+        summary["intervention"]["own_used"] / asked,
     )
+
+
+def table(rows: Sequence[Row]) -> Iterator[str]:
+    """The lines of the table: every run, and the means of every task after its runs."""
+    yield "| " + " | ".join(COLUMNS) + " |"
+    yield "|---" * len(COLUMNS) + "|"
+    for task in sorted({row.task for row in rows}):
+        runs = [row for row in rows if row.task == task]
+        solved = [row for row in runs if row.solved]
+        yield from (row.line() for row in runs)
+        yield _line(task, "mean", f"{len(solved)} of {len(runs)}", solved, runs)
+
+
+def _line(task: str, seed: str, solved: str, reached: Sequence[Row], runs: Sequence[Row]) -> str:
+    """A line of means: of ``reached`` what is counted until the end of a run, of ``runs`` the rest."""
+    cells = [task, seed, solved, "-", "-", "-", "-"]
+    if reached:
+        cells[3:] = [
+            f"{statistics.mean(row.interactions for row in reached):,.0f}",
+            f"{statistics.mean(row.wall_s for row in reached):.0f}",
+            f"{statistics.mean(row.updates for row in reached):,.0f}",
+            f"{statistics.mean(row.length for row in reached):.0f}",
+        ]
+    cells += [
+        f"{statistics.mean(row.success for row in runs):.0%}",
+        f"{statistics.mean(row.perturbed for row in runs):.0%}",
+        f"{statistics.mean(row.own_share for row in runs):.1%}",
+    ]
+    return "| " + " | ".join(cells) + " |"
+
+
+def _train_and_keep(task: str, seed: int, arguments: argparse.Namespace) -> None:
+    run: Path = arguments.runs / f"{task}-s{seed}"
+    if not arguments.keep:
+        train(task, seed, run, [part for flag in arguments.set for part in ("--set", flag)])
+    if not (run / "summary.json").exists() or not (run / "policy").is_dir():
+        _say(f"{run.name}: no summary or no policy, so nothing is kept")
+        return
+    plain, perturbed = evaluate(run, 0), evaluate(run, PERTURB)
+    keep(run, run.name, {"plain": plain, "perturbed": perturbed, "perturb": PERTURB})
+    keep_policy(run, task, seed)
+    _say(_read_row(HOME / "results" / run.name).line())
 
 
 def main() -> None:
@@ -70,21 +201,17 @@ def main() -> None:
     parser.add_argument("--seeds", nargs="+", type=int, default=[0, 1, 2, 3, 4])
     parser.add_argument("--runs", type=Path, default=Path("runs/benchmark"))
     parser.add_argument("--set", action="append", default=[], metavar="KEY=VALUE")
+    parser.add_argument("--keep", action="store_true", help="train nothing, keep the finished ones of --runs")
+    parser.add_argument("--table", action="store_true", help="do nothing but print the table of all that is kept")
     arguments = parser.parse_args()
-    flags = [part for flag in arguments.set for part in ("--set", flag)]
-    lines = [
-        "| task | seed | solved | interactions | wall s | updates | length | success | perturbed | own critic used |",
-        "|---|---|---|---|---|---|---|---|---|---|",
-    ]
-    for task in arguments.tasks:
-        for seed in arguments.seeds:
-            run = arguments.runs / f"{task}-s{seed}"
-            summary = train(task, seed, run, flags)
-            plain, perturbed = evaluate(run, 0), evaluate(run, PERTURB)
-            keep(run, f"{task}-s{seed}", {"plain": plain, "perturbed": perturbed, "perturb": PERTURB})
-            lines.append(row(task, seed, summary, plain, perturbed))
-            print(lines[-1], flush=True)
-    print("\n".join(lines))
+    rows = read_rows()
+    if not arguments.table:
+        for task in arguments.tasks:
+            for seed in arguments.seeds:
+                _train_and_keep(task, seed, arguments)
+        wanted = {(task, seed) for task in arguments.tasks for seed in arguments.seeds}
+        rows = [row for row in read_rows() if (row.task, row.seed) in wanted]
+    print("\n".join(table(rows)))
 
 
 if __name__ == "__main__":

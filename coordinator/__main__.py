@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 import signal
 import sys
 from dataclasses import dataclass
@@ -63,6 +62,7 @@ def _serve(command: CoordinatorCommand) -> int:
     from coordinator.service import CoordinatorService
     from coordinator.state import CoordinatorState, RunSettings
     from coordinator.viewer import BackgroundViewer
+    from t4nmtd_dist.cli.plan import plan_run
     from t4nmtd_dist.compiled import compile_task
     from t4nmtd_dist.environments.preparation import prepared, slowness
     from t4nmtd_dist.errors import ConfigError
@@ -71,16 +71,27 @@ def _serve(command: CoordinatorCommand) -> int:
 
     if not command.lease > 0:
         raise ConfigError(f"--lease {command.lease}: expected seconds above 0")
-    config = command.load()
-    task = prepared(compile_task(config, translator=command.translator, seed=command.seed))
+    plan = plan_run(command)
+    if plan.solved:
+        print(plan.solved)
+        return EXIT_CODES["solved"]
+    config = plan.config
+    task = prepared(compile_task(config, translator=command.translator, seed=plan.seed))
     warning = slowness(task.config.environment)
     if warning is not None:
         print(f"warning: {warning}", file=sys.stderr)
-    directory = command.directory(config.name)
-    settings = RunSettings(command.seed, config.max_interactions, os.urandom(8).hex(), str(directory), command.lease)
-    state = CoordinatorState(task, settings)
+    budget, directory, run_id = config.max_interactions, plan.directory, plan.identity.run_id
+    state = CoordinatorState(task, RunSettings(plan.seed, budget, str(directory), command.lease, run_id))
     access = Access(command.bind, command.publish, command.keys, command.insecure)
-    service = CoordinatorService(state, directory, access, restart=command.restart)
+    service = CoordinatorService(
+        state,
+        directory,
+        access,
+        restart=command.restart,
+        resume=plan.resumes,
+        checkpoint_every_s=command.checkpoint_every,
+        tensorboard=command.tensorboard,
+    )
 
     def stop(number: int, _: FrameType | None) -> None:
         service.interrupt(signal.Signals(number).name)

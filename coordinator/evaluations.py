@@ -3,14 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, fields
 from typing import Any
 
+import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
 from t4nmtd_dist.config import EvaluationConfig
 from t4nmtd_dist.high_level import QEntries
+from t4nmtd_dist.runs.state_tree import State
 from t4nmtd_dist.wire.messages import EvaluationReport, EvaluationRow
 
 CONVERGED_LENGTH_SPREAD = 0.1
@@ -42,6 +44,33 @@ class EvaluationSchedule:
     _jobs: int = 0
     _handed_at: int = 0
     _handed_versions: dict[str, int] = field(default_factory=dict)
+    _row_from: int = 0
+
+    def state(self) -> State:
+        """Everything but an evaluation that is under way, which nobody will report after a resume."""
+        last = self.last
+        return {
+            "history": msgspec.to_builtins(self.history),
+            "last": None if last is None else {each.name: getattr(last, each.name) for each in fields(last)},
+            "jobs": self._jobs,
+            "handed_at": self._handed_at,
+            "handed_versions": self._handed_versions,
+            "row_from": self._row_from,
+        }
+
+    def load_state(self, state: State) -> None:
+        """Go on from a ``state``."""
+        self.history = msgspec.convert(state["history"], list[EvaluationRow])
+        self.pending, last = None, state["last"]
+        if last is not None:
+            q_table = [(q, pid, value) for q, pid, value in last["q_table"]]
+            self.last = PolicySnapshot(**{**last, "q_table": q_table})
+        self._jobs, self._handed_at, self._row_from = state["jobs"], state["handed_at"], state["row_from"]
+        self._handed_versions = state["handed_versions"]
+
+    def begin_row(self) -> None:
+        """Count no evaluation so far towards those in a row: of some that followed nothing is known."""
+        self._row_from = len(self.history)
 
     def due(self, interactions: int, versions: Mapping[str, int], training: frozenset[str]) -> bool:
         """Whether enough was learned since the last evaluation for one on fresh weights.
@@ -92,7 +121,7 @@ class EvaluationSchedule:
     def in_a_row(self) -> int:
         """Evaluations at 100 % since the last that was not."""
         count = 0
-        for row in reversed(self.history):
+        for row in reversed(self.history[self._row_from :]):
             if not row.success_rate >= 1.0:  # a rate that is not a number is none
                 break
             count += 1

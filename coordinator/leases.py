@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
 
 
@@ -37,6 +37,15 @@ class LeaseTable:
         self.duration = duration
         self._leases: dict[str, Lease] = {}
         self._epochs: dict[str, int] = dict.fromkeys(self.places, 0)
+
+    def epochs(self) -> dict[str, int]:
+        """The newest epoch of every place, 0 where nobody ever held it."""
+        return dict(self._epochs)
+
+    def raise_epochs(self, epochs: Mapping[str, int]) -> None:
+        """Let coming leases have epochs above these, which an earlier start of the coordinator gave."""
+        for place in self.places:
+            self._epochs[place] = max(self._epochs[place], epochs.get(place, 0))
 
     def get(self, place: str) -> Lease | None:
         """The newest lease on a place, live or not."""

@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 from coordinator.events import Action, Finish, RecordEvaluation, Tell
+from coordinator.scalars import evaluation_scalars, learner_scalars
 from coordinator.snapshot import summary
 from coordinator.state import CoordinatorState
 from t4nmtd_dist.runs.directory import RunDirectory
+from t4nmtd_dist.runs.event_files import TensorBoard, open_event_files
 from t4nmtd_dist.runs.exported import export_policy
 from t4nmtd_dist.wire.messages import EvaluationRow
 
@@ -18,10 +20,15 @@ class Recorder:
     Args:
         state: the coordinator's state.
         run: where to write.
+        tensorboard: whether to write event files for TensorBoard, too.
+
+    Raises:
+        ConfigError: if event files were asked for and cannot be written.
     """
 
-    def __init__(self, state: CoordinatorState, run: RunDirectory) -> None:
+    def __init__(self, state: CoordinatorState, run: RunDirectory, tensorboard: TensorBoard = "off") -> None:
         self._state, self._run = state, run
+        self._event_files = open_event_files(run.path / "tensorboard", tensorboard, state.interactions)
         self._metrics_due = 0.0
         settings = state.settings
         run.write_settings(state.task.config, settings.seed, settings.max_interactions)
@@ -47,6 +54,8 @@ class Recorder:
                 "mean_return": row.mean_return,
             },
         )
+        if self._event_files is not None:
+            self._event_files.add("evaluations", row.interactions, evaluation_scalars(row))
 
     def metrics(self) -> None:
         """Append every learner's counts, every few seconds."""
@@ -72,9 +81,13 @@ class Recorder:
                     "start_states": len(record.buffer),
                     "asked": total.intervention.asked,
                     "answered": total.intervention.answered,
+                    "late": total.intervention.late,
                     "own_used": total.intervention.own_used,
+                    "lag_total": total.intervention.lag_total,
                 },
             )
+            if self._event_files is not None:
+                self._event_files.add(pid, state.interactions, learner_scalars(record))
 
     def _finish(self) -> None:
         state = self._state
@@ -90,3 +103,9 @@ class Recorder:
             }
             export_policy(self._run.path / "policy", state.task, snapshot.q_table, snapshot.weights, about)
         self._run.write_summary(summary(state))
+
+    def close(self) -> None:
+        """Write the counts down once more: learners went on until they heard of the end."""
+        self._metrics_due = 0.0
+        self.metrics()
+        self._run.write_summary(summary(self._state))

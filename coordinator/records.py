@@ -7,9 +7,11 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
+import msgspec
 from numpy.typing import NDArray
 
 from t4nmtd_dist.initial_state_buffer import InitialStateBuffer
+from t4nmtd_dist.runs.state_tree import State
 from t4nmtd_dist.wire.messages import Intervention, LearnerStats
 
 RATE_WINDOW_S = 10.0
@@ -62,6 +64,29 @@ class LearnerRecord:
             value_loss=b.value_loss,
             intervention=add_interventions(a.intervention, b.intervention),
         )
+
+    def state(self) -> State:
+        """Everything, for a checkpoint; the weights are the very arrays that are held."""
+        return {
+            "buffer": self.buffer.state(),
+            "sequence": self.sequence,
+            "earlier": msgspec.to_builtins(self.earlier),
+            "current": msgspec.to_builtins(self.current),
+            "version": self.version,
+            "weights": dict(self.weights),
+        }
+
+    def load_state(self, state: State) -> None:
+        """Go on from a ``state``."""
+        self.buffer.load_state(state["buffer"])
+        self.earlier = msgspec.convert(state["earlier"], LearnerStats)
+        self.current = msgspec.convert(state["current"], LearnerStats)
+        self.sequence, self.version, self.weights = state["sequence"], state["version"], state["weights"]
+
+    def raise_counts(self, total: LearnerStats) -> None:
+        """Count at least this much: what was spent after the checkpoint that the rest comes from."""
+        if total.interactions >= self.total.interactions:
+            self.earlier, self.current = total, LearnerStats()
 
     def begin_epoch(self) -> None:
         """A new lease: earlier counts are kept, the new worker counts from zero."""

@@ -6,14 +6,18 @@ import threading
 import time
 from contextlib import ExitStack
 from pathlib import Path
+from queue import SimpleQueue
 
 from coordinator.doors import Access, Doors
 from coordinator.events import Event, Finish, Interrupted, KeysChanged, Noticed, Received, Send, Tick
+from coordinator.keeping import StateKeeper, go_on
 from coordinator.recorder import Recorder
 from coordinator.snapshot import dashboard_state, status
 from coordinator.state import CoordinatorState
 from t4nmtd_dist.errors import ProtocolError
 from t4nmtd_dist.runs.directory import RunDirectory
+from t4nmtd_dist.runs.event_files import TensorBoard
+from t4nmtd_dist.runs.resuming import CHECKPOINT_EVERY_S, Identity, write_identity
 from t4nmtd_dist.wire.codec import Envelope
 from t4nmtd_dist.wire.gate import Arrival
 from t4nmtd_dist.wire.messages import Failure, StatusRequest
@@ -21,6 +25,7 @@ from t4nmtd_dist.wire.messages import Failure, StatusRequest
 TICK_S = 0.1
 PUBLISH_S = 0.2
 FAREWELL_S = 1.5
+LONGEST_FAREWELL_S = 4.0
 
 
 class CoordinatorService:
@@ -31,6 +36,9 @@ class CoordinatorService:
         directory: the run directory; made only once the endpoints are taken.
         access: where workers are heard, where the state is published, and for whom.
         restart: delete a run that the directory holds.
+        resume: go on with the run that the directory holds; ``state`` must be fresh and of that run.
+        checkpoint_every_s: seconds between two checkpoints.
+        tensorboard: whether to write event files for TensorBoard, too.
 
     Raises:
         ConfigError: if an endpoint cannot be used.
@@ -38,20 +46,44 @@ class CoordinatorService:
         RunError: if the run directory cannot be used.
     """
 
-    def __init__(self, state: CoordinatorState, directory: Path, access: Access, *, restart: bool = False) -> None:
+    def __init__(
+        self,
+        state: CoordinatorState,
+        directory: Path,
+        access: Access,
+        *,
+        restart: bool = False,
+        resume: bool = False,
+        checkpoint_every_s: float = CHECKPOINT_EVERY_S,
+        tensorboard: TensorBoard = "off",
+    ) -> None:
         self.state = state
         with ExitStack() as undo:
             self._doors = Doors(access)
             undo.callback(self._doors.close)
-            run = RunDirectory(directory, restart=restart)
+            run = RunDirectory(directory, restart=restart, resume=resume)
+            run.lock()
             undo.pop_all()
         self.control, self.publish = self._doors.control, self._doors.publish
         self.own_keys = self._doors.own_keys
-        self._recorder = Recorder(state, run)
+        self._run = run
+        self._said: SimpleQueue[str] = SimpleQueue()
+        resumed = self._go_on() if resume else ""
+        write_identity(run.path, Identity(state.settings.run_id, serial=False))
+        self._keeper = StateKeeper(state, run.checkpoints, checkpoint_every_s, self._said.put)
+        self._recorder = Recorder(state, run, tensorboard)
         run.write_endpoints(self.control, self.publish)
         self._publish_due = 0.0
         self._interrupt: str | None = None
         self._over = threading.Event()
+        if resumed:
+            self._feed(Noticed(time.monotonic(), resumed))
+
+    def _go_on(self) -> str:
+        """Load what the run has kept; what that was, in words."""
+        told = go_on(self.state, self._run.checkpoints, self._said.put)
+        self._run.mend(self.state.elapsed_s)
+        return told
 
     def interrupt(self, reason: str) -> None:
         """Ask the loop to end the run; callable from a signal handler or another thread."""
@@ -62,11 +94,26 @@ class CoordinatorService:
         try:
             while not self._over.is_set():
                 self._turn()
-            farewell = time.monotonic() + FAREWELL_S
-            while time.monotonic() < farewell:
-                self._turn()
+            self._say_farewell()
         finally:
             self._doors.close()
+            self._run.unlock()
+
+    def _say_farewell(self) -> None:
+        """Tell all that it is over, hear what learners have done until they heard of it, and write everything down."""
+        began = time.monotonic()
+        while time.monotonic() < began + (LONGEST_FAREWELL_S if self._learners_left() else FAREWELL_S):
+            self._turn()
+        self._recorder.close()
+        self._keeper.finish()
+        self._hear_keeper()
+
+    def _hear_keeper(self) -> None:
+        while not self._said.empty():
+            self._feed(Noticed(time.monotonic(), self._said.get()))
+
+    def _learners_left(self) -> bool:
+        return bool(self.state.leases.holders(time.monotonic()))
 
     def _turn(self) -> None:
         messages, subscriptions = self._doors.wait(TICK_S)
@@ -83,6 +130,8 @@ class CoordinatorService:
         self._publish_state()
         if not self._over.is_set():
             self._recorder.metrics()
+            self._keeper.turn()
+            self._hear_keeper()
 
     def _check_keys(self) -> None:
         allowed = self._doors.changed_keys()

@@ -53,7 +53,6 @@ def status(state: CoordinatorState, clock: float) -> Status:
     evaluators = state.evaluator_lease.holders(state.now)
     return Status(
         program=__version__,
-        boot_id=state.settings.boot_id,
         clock=clock,
         task=state.task.config.name,
         seed=state.settings.seed,

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Set
+from collections.abc import Mapping, Set
 from dataclasses import dataclass
 from typing import Any
 
@@ -44,7 +44,6 @@ from t4nmtd_dist.wire.messages import (
     Refused,
     Release,
     RunPhase,
-    Shutdown,
     Sync,
     SyncReply,
 )
@@ -59,15 +58,15 @@ class RunSettings:
     """What a run adds to its task.
 
     Attributes:
-        boot_id: names this start of the coordinator, so that workers notice a restart.
+        run_id: names the run, however often it is resumed, so that workers know which checkpoints are of it.
         lease_s: seconds of silence after which a worker counts as lost.
     """
 
     seed: int
     max_interactions: int
-    boot_id: str
     run_dir: str = ""
     lease_s: float = 10.0
+    run_id: str = ""
 
 
 class CoordinatorState:
@@ -76,6 +75,10 @@ class CoordinatorState:
     Args:
         task: the compiled task.
         settings: the run's own settings.
+
+    Attributes:
+        snapshot: a start state, if one has come: all of a run are alike in type and size.
+        earlier_s: seconds that the run took before it was resumed.
     """
 
     def __init__(self, task: CompiledTask, settings: RunSettings) -> None:
@@ -93,12 +96,14 @@ class CoordinatorState:
         self.now = self.began = 0.0
         self._clock_started = False
         self._lost: set[str] = set()
-        self._snapshot: NDArray[Any] | None = None
+        self.snapshot: NDArray[Any] | None = None
+        self.earlier_s = 0.0
+        self._ended: float | None = None
 
     @property
     def elapsed_s(self) -> float:
-        """Seconds since the first event."""
-        return self.now - self.began
+        """Seconds from the first event to the end of the run, those before a resume included."""
+        return self.earlier_s + (self.now if self._ended is None else self._ended) - self.began
 
     @property
     def interactions(self) -> int:
@@ -131,10 +136,8 @@ class CoordinatorState:
         peer, envelope = event.peer, event.envelope
         message = envelope.message
         try:
-            if isinstance(message, Shutdown):
-                return self._finish("stopped", message.reason)
             if self.outcome is not None:
-                return [Send(peer, Goodbye(reason=self.outcome), answers=envelope.id)]
+                return self._receive_late(event, self.outcome)
             if isinstance(message, Claim):
                 return self._claim(event, message)
             if isinstance(message, Sync):
@@ -149,6 +152,17 @@ class CoordinatorState:
             return [Send(peer, Failure(text=str(error)), answers=envelope.id)]
         text = f"the coordinator does not take {type(message).__name__} messages"
         return [Send(peer, Failure(text=text), answers=envelope.id)]
+
+    def _receive_late(self, event: Received, outcome: Outcome) -> list[Action]:
+        """The run is over; what learners have done until they heard of it still counts."""
+        message = event.envelope.message
+        told: list[Action] = []
+        if isinstance(message, Sync) and self.leases.renew(message.pid, message.epoch, event.peer, self.now):
+            self._accept(message, event.envelope.arrays)
+            told = [self._reply(event.peer, message, self.records[message.pid], event.envelope.id)]
+        elif isinstance(message, Release):
+            told = self._release(event.peer, message)
+        return [*told, Send(event.peer, Goodbye(reason=outcome), answers=event.envelope.id)]
 
     # Leases
 
@@ -187,7 +201,6 @@ class CoordinatorState:
             role=claim.role,
             pid=lease.place,
             epoch=lease.epoch,
-            boot_id=self.settings.boot_id,
             lease_s=self.settings.lease_s,
             seed=self.settings.seed,
             task=self.task.config.to_dict(),
@@ -195,6 +208,7 @@ class CoordinatorState:
             decomposition=self.task.decomposition.to_json(),
             rho=[float(x) for x in self.task.rho],
             version=record.version if record else 0,
+            run_id=self.settings.run_id,
         )
         arrays = with_prefix("weights.", record.weights) if record else {}
         told = self._tell(f"{claim.instance} takes {lease.place} (epoch {lease.epoch})")
@@ -229,11 +243,18 @@ class CoordinatorState:
         peer, answers = event.peer, event.envelope.id
         if not self.leases.renew(sync.pid, sync.epoch, peer, self.now):
             return self._refuse_stale(peer, sync, answers)
-        arrays = event.envelope.arrays
-        progress = read_progress(arrays, self.task.dfa.states, self._snapshot)
-        record = self.records[sync.pid]
+        self._accept(sync, event.envelope.arrays)
         back = [self._tell(f"{sync.pid} heard again")] if sync.pid in self._lost else []
         self._lost.discard(sync.pid)
+        reply = self._reply(peer, sync, self.records[sync.pid], answers)
+        if self.interactions >= self.settings.max_interactions:
+            return [*back, reply, *self._finish("budget spent", f"{self.interactions} interactions")]
+        return [*back, reply]
+
+    def _accept(self, sync: Sync, arrays: Mapping[str, NDArray[Any]]) -> None:
+        """Take in what is new: progress, counts and weights."""
+        progress = read_progress(arrays, self.task.dfa.states, self.snapshot)
+        record = self.records[sync.pid]
         if sync.sequence > record.sequence:
             record.sequence = sync.sequence
             self._apply(sync.pid, progress)
@@ -241,10 +262,6 @@ class CoordinatorState:
         weights = without_prefix("weights.", arrays)
         if weights and sync.version > record.version:
             record.version, record.weights = sync.version, weights
-        reply = self._reply(peer, sync, record, answers)
-        if self.interactions >= self.settings.max_interactions:
-            return [*back, reply, *self._finish("budget spent", f"{self.interactions} interactions")]
-        return [*back, reply]
 
     def _refuse_stale(self, peer: bytes, sync: Sync, answers: int) -> list[Action]:
         lease = self.leases.get(sync.pid) if sync.pid in self.leases.places else None
@@ -265,7 +282,7 @@ class CoordinatorState:
             else:
                 self.high_level.update(q, pid, reward, q_next, steps)
         for q, state in progress.starts:
-            self._snapshot = state
+            self.snapshot = state
             if q in self.task.terminal:
                 continue
             chosen = self.high_level.choose(q, self.rng)
@@ -339,7 +356,7 @@ class CoordinatorState:
     def _finish(self, outcome: Outcome, reason: str) -> list[Action]:
         if self.outcome is not None:
             return []
-        self.outcome = outcome
+        self.outcome, self._ended = outcome, self.now
         leases = self.leases.holders(self.now) + self.evaluator_lease.holders(self.now)
         peers = sorted({lease.holder for lease in leases})
         told = self._tell(f"{outcome}: {reason}")

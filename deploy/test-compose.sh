@@ -78,6 +78,7 @@ docker cp -q "$coordinator:/data/runs/$TASK/$run" "$folder/run" 2>/dev/null ||
   docker cp "$coordinator:/data/runs/$TASK/$run" "$folder/run" >/dev/null
 grep -o '"[^"]* takes g [^"]*"' "$folder/run/events.jsonl" | sed 's/^/test-compose:   /'
 [ "$(grep -c 'takes g ' "$folder/run/events.jsonl")" -ge 2 ] || fail "nobody took g again"
+find "$folder/run/tensorboard/g" -name 'events.out.tfevents.*' -size +0 | grep -q . || fail "no curves of g for TensorBoard"
 owners=$(docker run --rm -v "${COMPOSE_PROJECT_NAME}_runs:/runs:ro" t4nmtd-dist \
   find "/runs/$TASK/$run" -printf '%U:%G\n' | sort -u)
 [ "$owners" = "$owner:$owner" ] || fail "the run directory belongs to $owners, expected $owner:$owner"

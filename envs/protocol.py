@@ -63,6 +63,9 @@ class SnapshotVectorEnv(Protocol):
     - A row that has terminated stays as it is, whatever the action, and keeps reporting ``terminated`` until
       it is reset or set.
 
+    A world with random generators beside Gymnasium's ``np_random`` lists them as ``generators``, so that a training
+    can be resumed with exactly the same chance.
+
     Attributes:
         propositions: the names of the label columns.
     """

@@ -72,7 +72,7 @@ class WaterworldVectorEnv(VectorEnv[NDArray[np.float32], NDArray[Any], NDArray[A
         self.render_mode = render_mode
         self._map = checked_map(map)
         self._observation = observation
-        self._generators = [np_random()[0] for _ in range(num_envs)]
+        self.generators = [np_random()[0] for _ in range(num_envs)]
         self._ponds = Ponds(self.palette, num_envs)
         self._start(range(num_envs))
         self._labels = self._ponds.touches()
@@ -99,7 +99,7 @@ class WaterworldVectorEnv(VectorEnv[NDArray[np.float32], NDArray[Any], NDArray[A
         rows = np.flatnonzero(chosen).tolist()
         if seed is not None:
             for row in rows:
-                self._generators[row] = np_random(seed + row)[0]
+                self.generators[row] = np_random(seed + row)[0]
         self._start(rows)
         self._labels = np.where(chosen[:, None], self._ponds.touches(), self._labels)
         return observe(self.palette, self._ponds.states, self._observation), self._info()
@@ -163,7 +163,7 @@ class WaterworldVectorEnv(VectorEnv[NDArray[np.float32], NDArray[Any], NDArray[A
         return tuple(render_pond(self.palette, state, labels) for state, labels in pictured)
 
     def _start(self, rows: Sequence[int]) -> None:
-        generators = [self._generators[row] for row in rows]
+        generators = [self.generators[row] for row in rows]
         self._ponds.put(rows, start_states(self.palette, self._map, generators))
 
     def _info(self) -> dict[str, Any]:

@@ -20,7 +20,7 @@ import msgspec
 from t4nmtd_dist.errors import ConfigError
 
 Shaping = Literal["paper", "potential", "subtask"]
-InterventionMode = Literal["query", "local", "off"]
+InterventionMode = Literal["query", "replica", "local", "off"]
 
 
 @dataclass(frozen=True)
@@ -73,19 +73,23 @@ class LearnerConfig:
         algorithm: ``ppo`` (discrete actions) or ``sac`` (continuous actions).
         gamma: discount per step, also the one inside the shaped reward.
         shaping: ``potential`` (potential difference on every step), ``paper`` (only when a target is reached),
-            ``subtask`` (10 for a target, 100 for acceptance); docs/decisions/006 has the measurements.
+            ``subtask`` (10 for a target, 100 for acceptance); docs/decisions/006 and 014 have the measurements.
+        error_penalty: taken off the reward of a step into an error state, in any shaping.
         reward_scale: factor on rewards before they reach the critics.
-        intervention: ``query`` asks the peer's process, ``local`` a peer in the same process, ``off`` none.
+        intervention: where a peer's value comes from (docs/decisions/013): ``query`` asks its process, ``replica``
+            evaluates a copy of its networks, and both evaluate peers in the learner's own process directly; ``local``
+            knows only the latter, and uses the own critic for all others; ``off`` always uses the own critic.
         attempt_steps: steps after which an attempt is cut (a truncation, the critic bootstraps).
         start_capacity: initial-state buffer entries per DFA state.
         hand_over: which states become start states of the next sub-task: those in which a ``target`` was reached,
             as in the paper, or all in which the DFA changed, so that a critic knows whatever it is asked about.
-        hidden: widths of the hidden layers of actor and critic.
+        hidden: widths of the hidden layers of actor and critic, at least one.
     """
 
     algorithm: Literal["ppo", "sac"] = "ppo"
     gamma: float = 0.99
     shaping: Shaping = "potential"
+    error_penalty: float = 0.0
     reward_scale: float = 0.01
     intervention: InterventionMode = "query"
     attempt_steps: int = 300
@@ -136,10 +140,16 @@ class SACConfig:
         batch: rows of one update.
         updates_per_step: updates per interaction.
         n_step: longest return, cut at every change of the DFA state.
-        relabel_share: share of a batch that is read in another DFA state of the sub-task (exact relabelling).
+        relabel_share: share of a batch that is read in a DFA state drawn from all those in which the sub-task has a
+            transition, often the row's own among them (exact relabelling).
         success_share: share of a batch from the last steps before past successes.
-        exploration_share: share of the attempts of a learner without success that are driven by sinusoids.
-        initial_alpha: entropy coefficient at the start; it is tuned from there.
+        wave_share: share of the attempts of a learner without success that are driven by sinusoids.
+        hold_share: share of the attempts of a learner without success in which random actions interrupt the policy,
+            each held for some steps.
+        initial_alpha: entropy coefficient at the start, tuned from there; 0 for the one with which acting at random
+            for ever is worth as much as one target.
+        alpha_floor: share of ``initial_alpha`` below which that of a learner without success does not fall; it goes
+            to 0 with the square of the share of attempts that fail.
         tau: step of the target networks.
         layer_norm: layer normalisation in the critics.
     """
@@ -149,13 +159,15 @@ class SACConfig:
     replay_rows: int = 300_000
     learning_starts: int = 1000
     batch: int = 256
-    updates_per_step: float = 1.0
+    updates_per_step: float = 0.5
     n_step: int = 5
     relabel_share: float = 0.5
     success_share: float = 0.25
-    exploration_share: float = 0.5
+    wave_share: float = 0.25
+    hold_share: float = 0.25
     learning_rate: float = 3e-4
-    initial_alpha: float = 0.1
+    initial_alpha: float = 0.0
+    alpha_floor: float = 1.0
     tau: float = 0.005
     layer_norm: bool = True
 
@@ -192,8 +204,15 @@ class TaskConfig:
 
     def to_dict(self) -> dict[str, Any]:
         """Plain data that ``task_config`` reads back; fit for TOML and the wire."""
-        plain: dict[str, Any] = msgspec.to_builtins(self)
+        plain: dict[str, Any] = _plain(self)
         return plain
+
+
+def _plain(value: Any) -> Any:
+    """Builtins of a setting; msgspec itself leaves out what a section has by default."""
+    if dataclasses.is_dataclass(value):
+        return {each.name: _plain(getattr(value, each.name)) for each in dataclasses.fields(value)}
+    return msgspec.to_builtins(value)
 
 
 def _check_ranges(task: TaskConfig) -> None:
@@ -214,7 +233,7 @@ def _check_ranges(task: TaskConfig) -> None:
         "sac.updates_per_step": task.sac.updates_per_step,
         "sac.n_step": task.sac.n_step,
         "sac.learning_rate": task.sac.learning_rate,
-        "sac.initial_alpha": task.sac.initial_alpha,
+        "sac.tau": task.sac.tau,
         "evaluation.episodes": task.evaluation.episodes,
         "evaluation.every": task.evaluation.every,
         "evaluation.in_a_row": task.evaluation.in_a_row,
@@ -225,17 +244,42 @@ def _check_ranges(task: TaskConfig) -> None:
         "ppo.gae_lambda": task.ppo.gae_lambda,
         "sac.relabel_share": task.sac.relabel_share,
         "sac.success_share": task.sac.success_share,
-        "sac.exploration_share": task.sac.exploration_share,
+        "sac.wave_share": task.sac.wave_share,
+        "sac.hold_share": task.sac.hold_share,
+        "sac.alpha_floor": task.sac.alpha_floor,
+        "sac.tau": task.sac.tau,
         "high_level.alpha": task.high_level.alpha,
         "high_level.epsilon": task.high_level.epsilon,
     }
+    for key, number in (
+        ("learner.error_penalty", task.learner.error_penalty),
+        ("sac.initial_alpha", task.sac.initial_alpha),
+    ):
+        if number < 0:
+            raise ConfigError(f"{key} = {number}: expected 0 or more")
     for key, number in positive.items():
         if not number > 0:
             raise ConfigError(f"{key} = {number}: expected a number above 0")
     for key, share in shares.items():
         if not 0 <= share <= 1:
             raise ConfigError(f"{key} = {share}: expected a number from 0 to 1")
+    _check_hidden(task.learner.hidden)
+    _check_replay(task.sac)
     _check_groups(task)
+
+
+def _check_hidden(hidden: tuple[int, ...]) -> None:
+    if not hidden or min(hidden) < 1:
+        raise ConfigError(f"learner.hidden = {list(hidden)}: expected one layer or more, each at least 1 wide")
+
+
+def _check_replay(sac: SACConfig) -> None:
+    kept = sac.replay_rows // sac.worlds * sac.worlds
+    if kept < max(sac.worlds, sac.learning_starts):
+        raise ConfigError(
+            f"sac.replay_rows = {sac.replay_rows}: expected at least sac.learning_starts = {sac.learning_starts}, "
+            f"in whole steps of sac.worlds = {sac.worlds} copies; otherwise learning never starts"
+        )
 
 
 def _check_groups(task: TaskConfig) -> None:
@@ -243,6 +287,26 @@ def _check_groups(task: TaskConfig) -> None:
         strange = [name for name in group if name not in task.propositions]
         if strange:
             raise ConfigError(f"exclusive names {strange[0]!r}; declared propositions: {', '.join(task.propositions)}")
+
+
+ALGORITHM_DEFAULTS: Mapping[str, Mapping[str, Any]] = {
+    "sac": {
+        "learner": {
+            "gamma": 0.98,
+            "shaping": "subtask",
+            "error_penalty": 10.0,
+            "reward_scale": 0.1,
+            "hidden": [128, 128],
+        }
+    }
+}
+"""Where an algorithm's defaults differ from those of the dataclasses (docs/decisions/014)."""
+
+
+def _with_algorithm_defaults(data: Mapping[str, Any]) -> dict[str, Any]:
+    learner = data.get("learner")
+    algorithm = learner.get("algorithm") if isinstance(learner, Mapping) else None
+    return merge(ALGORITHM_DEFAULTS.get(algorithm, {}) if isinstance(algorithm, str) else {}, data)
 
 
 def task_config(data: Mapping[str, Any], *, source: str = "task") -> TaskConfig:
@@ -253,7 +317,7 @@ def task_config(data: Mapping[str, Any], *, source: str = "task") -> TaskConfig:
     """
     _refuse_unknown_keys(data, TaskConfig, source, ())
     try:
-        return msgspec.convert(dict(data), TaskConfig)
+        return msgspec.convert(_with_algorithm_defaults(data), TaskConfig)
     except msgspec.ValidationError as error:
         raise ConfigError(f"{source}: {error}") from None
 

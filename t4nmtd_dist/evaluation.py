@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from t4nmtd_dist.errors import WorldError
 from t4nmtd_dist.policy import GlobalPolicy
 from t4nmtd_dist.product import LetterReader
+from t4nmtd_dist.runs.state_tree import State
 from t4nmtd_dist.worlds import BatchedWorld, Observations, make_world
 
 PERTURBATION_ROUNDS = 100
@@ -71,6 +72,17 @@ class Evaluator:
         else:
             observations, q, redrawn = self._reset(), np.full(len(rows), policy.dfa.initial, np.int32), 0
         return self._episodes(policy, observations, q, redrawn)
+
+    def state(self) -> State:
+        """What decides the starts of the next evaluations, for a checkpoint."""
+        world = self._world.state() if self._seeded else None
+        return {"rng": self._rng.bit_generator.state, "seeded": self._seeded, "world": world}
+
+    def load_state(self, state: State) -> None:
+        """Go on from a ``state`` of an evaluator of the same task with as many episodes."""
+        self._rng.bit_generator.state, self._seeded = state["rng"], state["seeded"]
+        if self._seeded:
+            self._world.load_state(state["world"])
 
     def _reset(self) -> Observations:
         seed = None if self._seeded else int(self._rng.integers(2**31))

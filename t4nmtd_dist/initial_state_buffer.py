@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import OrderedDict
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -74,6 +74,23 @@ class InitialStateBuffer:
         entries = self._entries[q]
         index = int(rng.integers(len(entries)))
         return list(entries.values())[index][1]
+
+    def state(self) -> dict[str, Any]:
+        """All entries in their order, and the cursor, for a checkpoint."""
+        entries = self.since(0, self.cursor)
+        return {
+            "cursor": self.cursor,
+            "cursors": np.array([number for number, _, _ in entries], np.int64),
+            "q": np.array([q for _, q, _ in entries], np.int32),
+            "states": np.stack([state for *_, state in entries]) if entries else np.zeros((0, 0)),
+        }
+
+    def load_state(self, state: Mapping[str, Any]) -> None:
+        """Replace everything by what a ``state`` holds."""
+        self._entries.clear()
+        for number, q, entry in zip(state["cursors"].tolist(), state["q"].tolist(), state["states"], strict=True):
+            self._entries.setdefault(q, OrderedDict())[entry.tobytes()] = (number, entry.copy())
+        self.cursor = state["cursor"]
 
 
 def sample_starts(

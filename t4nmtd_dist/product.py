@@ -82,6 +82,7 @@ def subtask_tables(
     *,
     gamma: float,
     shaping: Shaping,
+    error_penalty: float = 0.0,
 ) -> SubtaskTables:
     """Tabulate sub-task ``pid`` of a task (paper, Algorithm 2, lines 7 to 9)."""
     target = np.zeros((dfa.states, dfa.states), dtype=np.bool_)
@@ -90,6 +91,7 @@ def subtask_tables(
     accepting = _mask(dfa, dfa.accepting)
     error = _mask(dfa, dfa.error)
     reward = shaped_reward(target, accepting, error, rho, gamma=gamma, shaping=shaping)
+    reward -= error_penalty * (error[None, :] & ~error[:, None])
     available: NDArray[np.bool_] = np.any(target, axis=1, keepdims=True)[:, 0]
     kept = gamma * np.where(accepting | error, 0.0, rho) if shaping == "potential" else np.zeros(dfa.states)
     return SubtaskTables(target, available, accepting, error, reward, kept)

@@ -18,8 +18,10 @@ from t4nmtd_dist.config import EnvironmentConfig
 from t4nmtd_dist.environments.copies import EnvironmentCopy
 from t4nmtd_dist.environments.observations import flattener
 from t4nmtd_dist.environments.opening import Spec, find_spec
+from t4nmtd_dist.environments.packing import dice_state, set_dice_state
 from t4nmtd_dist.environments.restoring import with_snapshots
 from t4nmtd_dist.errors import WorldError
+from t4nmtd_dist.runs.state_tree import State, generator_states, set_generator_states
 
 Rows = NDArray[np.int64]
 Observations = NDArray[np.float32]
@@ -73,6 +75,12 @@ class BatchedWorld(Protocol):
 
     def step(self, actions: NDArray[Any]) -> WorldStep:
         """Step every copy."""
+
+    def state(self) -> State:
+        """Everything that decides the future of all copies, random generators included, for a checkpoint."""
+
+    def load_state(self, state: State) -> None:
+        """Go on from a ``state`` of a world with as many copies."""
 
 
 def make_world(config: EnvironmentConfig, count: int, propositions: Sequence[str] = ()) -> BatchedWorld:
@@ -144,6 +152,24 @@ class VectorWorld:
         observations, _, terminated, truncated, info = self._env.step(actions)
         return WorldStep(observations, info["labels"], terminated, truncated)
 
+    def state(self) -> State:
+        """See ``BatchedWorld.state``; ``generators`` are those of the environment beside its ``np_random``."""
+        return {
+            "snapshots": self._env.get_states(np.arange(self.count)),
+            "dice": dice_state(self._env),
+            "generators": generator_states(self._generators),
+        }
+
+    def load_state(self, state: State) -> None:
+        """See ``BatchedWorld.load_state``."""
+        self._env.set_states(np.arange(self.count), state["snapshots"])
+        set_dice_state(self._env, state["dice"])
+        set_generator_states(self._generators, state["generators"])
+
+    @property
+    def _generators(self) -> list[np.random.Generator]:
+        return list(getattr(self._env, "generators", ()))
+
 
 class LoopedWorld:
     """Copies of an ordinary environment, one by one.
@@ -204,3 +230,27 @@ class LoopedWorld:
         return WorldStep(
             self._observations.copy(), self._labels.copy(), self._terminated.copy(), self._truncated.copy()
         )
+
+    def state(self) -> State:
+        """See ``BatchedWorld.state``."""
+        return {
+            "copies": [copy.state() for copy in self._copies],
+            "dice": self._dice.bit_generator.state,
+            "last": {name: column.copy() for name, column in self._last().items()},
+        }
+
+    def load_state(self, state: State) -> None:
+        """See ``BatchedWorld.load_state``."""
+        for copy, saved in zip(self._copies, state["copies"], strict=True):
+            copy.load_state(saved)
+        self._dice.bit_generator.state = state["dice"]
+        for name, column in self._last().items():
+            column[:] = state["last"][name]
+
+    def _last(self) -> dict[str, NDArray[Any]]:
+        return {
+            "observations": self._observations,
+            "labels": self._labels,
+            "terminated": self._terminated,
+            "truncated": self._truncated,
+        }

@@ -43,7 +43,7 @@ class Conversation:
     """A coordinator of task 7, and what workers say to it; every worker is its own connection."""
 
     def __init__(self, *flags: str, lease_s: float = 10.0, max_interactions: int = 10**9) -> None:
-        settings = RunSettings(seed=0, max_interactions=max_interactions, boot_id="boot", lease_s=lease_s)
+        settings = RunSettings(seed=0, max_interactions=max_interactions, lease_s=lease_s)
         self.state = CoordinatorState(small_task(*flags), settings)
         self.now = 0.0
 

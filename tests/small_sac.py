@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from t4nmtd_dist.compiled import CompiledTask, compile_task
 from t4nmtd_dist.initial_state_buffer import InitialStateBuffer
 from t4nmtd_dist.learners.build import build_learner
-from t4nmtd_dist.learners.peers import LocalPeers, PeerValues
+from t4nmtd_dist.learners.peers import LocalPeers, PeerValues, Questions
 from t4nmtd_dist.learners.sac import SACLearner
 from t4nmtd_dist.learners.sac_update import SACUpdater
 from t4nmtd_dist.tasks import load_task
@@ -28,6 +28,7 @@ TINY = (
     "sac.worlds=2",
     "sac.replay_rows=400",
     "sac.steps_per_iteration=10",
+    "sac.updates_per_step=1",
 )
 START, TO_G2, ERROR, TO_G3, TO_G4, ACCEPTING = range(6)  # states of the task's automaton, after their next target
 PIDS = ("g1", "g2", "g3", "g4")
@@ -85,7 +86,7 @@ class CheckedPeers(LocalPeers):
     def __init__(self, learners: dict[str, SACLearner], silent: int = 0) -> None:
         super().__init__({pid: self._checked(learner) for pid, learner in learners.items()})
         self._silent, self._turn = silent, 0
-        self.questions: list[tuple[int, str, Floats, int]] = []
+        self.questions: list[tuple[int, int, str, Floats, int]] = []  # with the number of the batch
         self.gathered: list[PeerValues] = []
         self.evaluated = 0
 
@@ -99,12 +100,19 @@ class CheckedPeers(LocalPeers):
 
         return values
 
-    def ask(self, row: int, pid: str, observation: Floats, q: int) -> None:
-        self.questions.append((row, pid, observation.copy(), q))
-        self._turn += 1
-        if not self._silent or self._turn % self._silent:
-            super().ask(row, pid, observation, q)
+    def ask(self, batch: int, questions: Questions) -> None:
+        heard = []
+        for place, (row, pid) in enumerate(zip(questions.rows.tolist(), questions.pids, strict=True)):
+            self.questions.append((batch, row, pid, questions.observations[place].copy(), int(questions.q[place])))
+            self._turn += 1
+            if not self._silent or self._turn % self._silent:
+                heard.append(place)
+        if heard:
+            pids = tuple(questions.pids[place] for place in heard)
+            super().ask(
+                batch, Questions(questions.rows[heard], pids, questions.observations[heard], questions.q[heard])
+            )
 
-    def gather(self) -> PeerValues:
-        self.gathered.append(super().gather())
+    def gather(self, batch: int, patience_s: float = 0.0) -> PeerValues:
+        self.gathered.append(super().gather(batch, patience_s))
         return self.gathered[-1]

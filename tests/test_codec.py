@@ -37,13 +37,14 @@ from t4nmtd_dist.wire.messages import (
     QCell,
     Refused,
     Release,
-    Shutdown,
     Status,
     StatusRequest,
     Sync,
     SyncReply,
     ValueReply,
     ValueRequest,
+    WeightsReply,
+    WeightsRequest,
 )
 
 STATS = LearnerStats(phase="training", interactions=9, recent_success=0.5, intervention=Intervention(asked=3, late=1))
@@ -79,7 +80,6 @@ EXAMPLES: list[Message] = [
         role="learner",
         pid="p1",
         epoch=1,
-        boot_id="b",
         lease_s=10.0,
         seed=0,
         task={"name": "t", "nested": {"list": [1, 2.5, None]}},
@@ -104,11 +104,9 @@ EXAMPLES: list[Message] = [
         epoch=1, job=1, success_rate=1.0, mean_length=2.0, std_length=0.0, mean_return=3.0, episodes=20, dfa_path=[0, 1]
     ),
     Goodbye(reason="solved"),
-    Shutdown(reason="asked"),
     StatusRequest(),
     Status(
         program="0.1.0",
-        boot_id="b",
         clock=1.5,
         task="task7",
         seed=0,
@@ -127,6 +125,8 @@ EXAMPLES: list[Message] = [
     Failure(text="no"),
     ValueRequest(pid="p1"),
     ValueReply(version=1),
+    WeightsRequest(pid="g", newer_than=-1),
+    WeightsReply(version=1),
     DashboardState(
         task="task7",
         title="t",

@@ -98,6 +98,12 @@ OUT_OF_RANGE = [
     "evaluation.in_a_row=0",
     "max_interactions=0",
     "environment.horizon=0",
+    "sac.tau=0.0",
+    "sac.tau=1.1",
+    "sac.replay_rows=999",
+    "learner.hidden=[]",
+    "learner.hidden=[64,0]",
+    "learner.hidden=[-3]",
 ]
 
 
@@ -192,3 +198,16 @@ def test_merging_keeps_what_is_not_overridden(base: dict[str, Any], over: dict[s
 def test_any_flag_is_read_or_refused(flag: str) -> None:
     with suppress(ConfigError):
         load_task("task7", flags=[flag])
+
+
+def test_an_algorithm_brings_its_own_defaults_which_every_setting_overrides() -> None:
+    plain = {"name": "t", "formula": "F(a)", "propositions": ["a"], "environment": {"id": "e", "horizon": 5}}
+    ppo = task_config(plain)
+    sac = task_config({**plain, "learner": {"algorithm": "sac"}})
+    assert (ppo.learner.shaping, ppo.learner.hidden, ppo.learner.error_penalty) == ("potential", (64, 64), 0.0)
+    assert (sac.learner.shaping, sac.learner.hidden, sac.learner.error_penalty) == ("subtask", (128, 128), 10.0)
+    chosen = task_config({**plain, "learner": {"algorithm": "sac", "shaping": "paper", "error_penalty": 0.0}})
+    assert (chosen.learner.shaping, chosen.learner.error_penalty, chosen.learner.gamma) == ("paper", 0.0, 0.98)
+    assert task_config(sac.to_dict()) == sac
+    with pytest.raises(ConfigError, match="error_penalty"):
+        task_config({**plain, "learner": {"error_penalty": -1.0}})

@@ -10,7 +10,7 @@ from coordinator_events import Conversation, changes, of, starts
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from coordinator.events import Finish, Send, Tell
+from coordinator.events import Finish, Interrupted, Send, Tell
 from t4nmtd_dist.wire.messages import (
     Failure,
     Goodbye,
@@ -18,7 +18,6 @@ from t4nmtd_dist.wire.messages import (
     LearnerStats,
     Refused,
     Release,
-    Shutdown,
     SyncReply,
 )
 
@@ -42,7 +41,7 @@ def test_a_grant_brings_the_compiled_task() -> None:
     assert granted.dfa == talk.state.task.dfa.to_json()
     assert granted.decomposition == talk.state.task.decomposition.to_json()
     assert granted.rho == list(talk.state.task.rho)
-    assert (granted.boot_id, granted.epoch, granted.version) == ("boot", 1, 0)
+    assert (granted.epoch, granted.version) == (1, 0)
 
 
 def test_an_unknown_pid_is_refused_with_the_known_ones() -> None:
@@ -288,7 +287,7 @@ def test_the_run_ends_when_the_budget_is_spent() -> None:
     assert talk.state.outcome == "budget spent"
 
 
-def test_a_shutdown_ends_the_run_once() -> None:
+def test_an_interruption_ends_the_run_once() -> None:
     talk = Conversation()
-    assert len(of(Finish, talk.send("launcher", Shutdown(reason="asked")))) == 1
-    assert of(Finish, talk.send("launcher", Shutdown(reason="asked"))) == []
+    assert len(of(Finish, talk.state.handle(Interrupted(talk.now, "asked")))) == 1
+    assert of(Finish, talk.state.handle(Interrupted(talk.now, "asked"))) == []

@@ -43,7 +43,7 @@ def keys(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def serve(folder: Path, keys: Path | None) -> Iterator[CoordinatorService]:
-    state = CoordinatorState(small_task(), RunSettings(seed=0, max_interactions=1000, boot_id="boot"))
+    state = CoordinatorState(small_task(), RunSettings(seed=0, max_interactions=1000))
     service = CoordinatorService(state, folder, Access(FREE_PORT, FREE_PORT, keys))
     thread = threading.Thread(target=service.serve, daemon=True)
     thread.start()

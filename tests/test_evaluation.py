@@ -36,16 +36,17 @@ Weights = dict[str, NDArray[np.float32]]
 
 
 def actor(task: CompiledTask, action_at: dict[int, int], otherwise: int) -> Weights:
-    """A linear actor that takes a given action in given cells, and another one elsewhere."""
+    """An actor that takes a given action in given cells, and another one elsewhere."""
     matrix = np.zeros((ACTIONS, OBSERVATION + task.dfa.states), np.float32)
     for cell, action in action_at.items():
         matrix[action, cell] = 2.0
     bias = np.eye(ACTIONS, dtype=np.float32)[otherwise]
-    return {"actor.0.weight": matrix, "actor.0.bias": bias}
+    passed_on = {"actor.2.weight": np.eye(ACTIONS, dtype=np.float32), "actor.2.bias": np.zeros(ACTIONS, np.float32)}
+    return {"actor.0.weight": matrix, "actor.0.bias": bias, **passed_on}
 
 
-def linear_task(*flags: str) -> CompiledTask:
-    return small_task("learner.hidden=[]", *flags)
+def task_of_actors(*flags: str) -> CompiledTask:
+    return small_task(f"learner.hidden=[{ACTIONS}]", *flags)
 
 
 def policy_of(task: CompiledTask, actors: dict[str, Weights]) -> GlobalPolicy:
@@ -54,14 +55,14 @@ def policy_of(task: CompiledTask, actors: dict[str, Weights]) -> GlobalPolicy:
 
 def expert(*flags: str) -> GlobalPolicy:
     """Fetches passenger 2 and carries it to the goal."""
-    task = linear_task(*flags)
+    task = task_of_actors(*flags)
     fetch = {0: RIGHT, 1: RIGHT, 2: RIGHT, 3: DOWN, 11: DOWN, 19: DOWN, 27: PICK}
     carry = {27: DOWN, 35: DOWN, 43: RIGHT, 44: RIGHT}
     return policy_of(task, {"p2": actor(task, fetch, LEFT), "g": actor(task, carry, LEFT)})
 
 
 def always(action: int, *flags: str) -> GlobalPolicy:
-    task = linear_task(*flags)
+    task = task_of_actors(*flags)
     return policy_of(task, {pid: actor(task, {}, action) for pid in task.decomposition.pids})
 
 
@@ -109,7 +110,7 @@ def test_an_episode_ends_in_a_hole() -> None:
 
 
 def test_without_an_actor_an_episode_is_over_before_it_begins() -> None:
-    task = linear_task()
+    task = task_of_actors()
     result = Evaluator(expert(), 2, seed=0).run(policy_of(task, {}))
     assert (result.success_rate, result.lengths.tolist()) == (0.0, [0, 0])
 
@@ -123,7 +124,7 @@ propositions = ["p1", "p2"]
 id = "envs:t4nmtd/FrozenLake-v0"
 horizon = 50
 [learner]
-hidden = []
+hidden = [6]
 """
     task = compile_task(load_task(str(own_task(tmp_path, text))))
     fetch = {0: RIGHT, 1: RIGHT, 2: RIGHT, 3: DOWN, 11: DOWN, 19: DOWN, 27: PICK}
@@ -165,7 +166,7 @@ def test_a_perturbed_evaluation_leaves_nothing_behind_for_the_next() -> None:
 @settings(max_examples=25)
 @given(seed=st.integers(0, 10**6), perturb=st.integers(0, 20))
 def test_the_validation_return_telescopes(seed: int, perturb: int) -> None:
-    task = linear_task("environment.horizon=40")
+    task = task_of_actors("environment.horizon=40")
     rng = np.random.default_rng(seed)
     actions = [dict(enumerate(rng.integers(ACTIONS, size=CELLS).tolist())) for _ in range(4)]
     actors = {pid: actor(task, at, LEFT) for pid, at in zip(task.decomposition.pids, actions, strict=True)}

@@ -1,6 +1,8 @@
-"""Exploration by sinusoids: how many attempts are driven, which, and by what."""
+"""Exploration by sinusoids and by held actions: how many attempts are driven, which, and by what."""
 
 from __future__ import annotations
+
+from itertools import groupby
 
 import numpy as np
 import pytest
@@ -8,7 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from t4nmtd_dist.learners.exploration import FREQUENCIES, SinusoidExploration
+from t4nmtd_dist.learners.exploration import FREQUENCIES, LONGEST_HOLD, HeldActionExploration, SinusoidExploration
 
 Floats = NDArray[np.float32]
 
@@ -29,7 +31,7 @@ def test_the_share_of_driven_attempts_falls_with_success(share: float, success: 
     exploration = SinusoidExploration(count, 2, share, np.random.default_rng(0))
     exploration.begin(everywhere(count), success)
     driven = (driven_steps(exploration, policy, 3) != policy).any(axis=(0, 2)).mean()
-    expected = share * (1 - success)
+    expected = share * (1 - success) ** 2
     assert driven == pytest.approx(expected, abs=0.03)
     assert expected not in (0.0, 1.0) or driven == expected
 
@@ -57,11 +59,12 @@ def test_an_attempt_has_one_frequency_and_every_action_a_phase_of_its_own() -> N
     waves = driven_steps(exploration, np.zeros((20, 6), np.float32), 300).astype(np.float64)
     # x(t+1) + x(t-1) = 2 cos(w) x(t) holds for every sinusoid of frequency w and for no other
     slope = ((waves[2:] + waves[:-2]) * waves[1:-1]).sum(0) / (waves[1:-1] ** 2).sum(0)
-    frequencies = np.arccos(slope / 2)
+    frequencies = np.arccos(slope / 2)  # radians a step
     assert np.abs(waves[2:] + waves[:-2] - slope * waves[1:-1]).max() < 1e-5
     assert np.ptp(frequencies, axis=1).max() < 1e-4
     assert len(np.unique(frequencies[:, 0].round(3))) > 15
-    assert FREQUENCIES[0] - 1e-4 < frequencies.min() < frequencies.max() < FREQUENCIES[1] + 1e-4
+    lowest, highest = 2 * np.pi * np.array(FREQUENCIES)
+    assert lowest - 1e-4 < frequencies.min() < frequencies.max() < highest + 1e-4
     # the phase, from sin(p) and sin(w + p)
     phases = np.arctan2(waves[0] * np.sin(frequencies), waves[1] - waves[0] * np.cos(frequencies))
     assert min(np.diff(np.sort(row)).min() for row in phases) > 1e-4
@@ -88,3 +91,50 @@ def test_once_the_learner_succeeds_new_attempts_are_its_own() -> None:
     actions = driven_steps(exploration, policy, 10)
     assert (actions[:, 0] == 0.5).all()
     assert (actions[:, 1] != 0.5).all()
+
+
+@pytest.mark.parametrize(("share", "success"), [(0.0, 0.0), (0.5, 0.0), (1.0, 0.3), (1.0, 1.0)])
+def test_the_share_of_interrupted_attempts_falls_with_success(share: float, success: float) -> None:
+    count = 5000
+    exploration = HeldActionExploration(count, 1, share, np.random.default_rng(0))
+    exploration.begin(everywhere(count), success)
+    policy = np.full((count, 1), 0.123, np.float32)
+    interrupted = np.stack([exploration.drive(policy) != policy for _ in range(100)]).any(axis=(0, 2)).mean()
+    assert interrupted == pytest.approx(share * (1 - success) ** 2, abs=0.03)
+
+
+def test_random_actions_are_held_and_the_policy_acts_in_between() -> None:
+    exploration = HeldActionExploration(200, 2, 1.0, np.random.default_rng(0))
+    exploration.begin(everywhere(200), 0.0)
+    policy = np.full((200, 2), 2.0, np.float32)  # outside the bounds, so that it can be told apart
+    actions = np.stack([exploration.drive(policy) for _ in range(400)])
+    held = (actions != policy).all(axis=2)
+    assert (np.abs(actions[held]) <= 1).all()
+    runs = [len(list(group)) for copy in range(200) for _, group in groupby(map(tuple, actions[:, copy].tolist()))]
+    assert max(run for run in runs) > LONGEST_HOLD / 2
+    # a hold lasts 10.5 steps on average, and the pause before the next one (1 - 0.1) / 0.1 = 9 steps
+    assert held.mean() == pytest.approx(10.5 / 19.5, abs=0.03)
+
+
+def test_a_hold_ends_with_its_attempt() -> None:
+    exploration = HeldActionExploration(500, 1, 1.0, np.random.default_rng(0))
+    policy = np.full((500, 1), 2.0, np.float32)
+    exploration.begin(everywhere(500), 0.0)
+    for _ in range(20):
+        exploration.drive(policy)
+    exploration.begin(everywhere(500), 1.0)
+    assert (exploration.drive(policy) == policy).all()
+
+
+def test_a_saved_exploration_goes_on_as_it_was() -> None:
+    def made() -> HeldActionExploration:
+        return HeldActionExploration(50, 3, 0.7, np.random.default_rng(4))
+
+    first, second, policy = made(), made(), np.zeros((50, 3), np.float32)
+    first.begin(everywhere(50), 0.2)
+    for _ in range(7):
+        first.drive(policy)
+    second.load_state(first.state())
+    second._rng.bit_generator.state = first._rng.bit_generator.state
+    for _ in range(30):
+        assert np.array_equal(first.drive(policy), second.drive(policy))

@@ -20,7 +20,7 @@ from coordinator.doors import Access
 from coordinator.service import CoordinatorService
 from coordinator.state import CoordinatorState, RunSettings
 from t4nmtd_dist.errors import ConfigError, KeyFileError, RunError
-from t4nmtd_dist.learners.peers import PeerValues
+from t4nmtd_dist.learners.peers import PeerValues, Questions
 from t4nmtd_dist.wire import limits
 from t4nmtd_dist.wire.allow_list import AllowedFolder
 from t4nmtd_dist.wire.codec import Envelope
@@ -301,7 +301,7 @@ def soon(holds: Callable[[], object]) -> None:
 def running(folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Running]:
     monkeypatch.setattr("coordinator.service.FAREWELL_S", 0.0)
     monkeypatch.setattr("t4nmtd_dist.wire.allow_list.REREAD_S", 0.05)
-    state = CoordinatorState(small_task(), RunSettings(seed=0, max_interactions=1000, boot_id="boot"))
+    state = CoordinatorState(small_task(), RunSettings(seed=0, max_interactions=1000))
     service = CoordinatorService(state, tmp_path / "run", Access(FREE_PORT, FREE_PORT, folder))
     thread = threading.Thread(target=service.serve, daemon=True)
     thread.start()
@@ -398,8 +398,9 @@ def test_status_needs_a_key_like_everything_else(running: Running) -> None:
 
 
 def values(peers: QueryPeers, size: int) -> PeerValues:
-    peers.ask(0, "g", np.zeros(size, np.float32), 0)
-    return peers.gather()
+    one = np.zeros(1, np.int32)
+    peers.ask(0, Questions(one.astype(np.int64), ("g",), np.zeros((1, size), np.float32), one))
+    return peers.gather(0, patience_s=0.2)
 
 
 def test_critics_answer_those_whom_the_coordinator_named_and_only_as_long(context: Context) -> None:

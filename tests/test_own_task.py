@@ -110,7 +110,7 @@ print(json.dumps([world.step(np.array([2])).observations.tolist() for _ in range
 
 def test_all_roles_work_on_the_example_in_lock_step() -> None:
     task = prepared(example(*TINY, "learner.attempt_steps=5"))
-    run = SerialRun(task, RunSettings(0, 100_000, "test"), float)
+    run = SerialRun(task, RunSettings(0, 100_000), float)
     for _ in range(12):
         run.round()
     assert run.coordinator.interactions >= 12 * 4 * 16
@@ -215,6 +215,21 @@ def test_the_packages_own_tasks_are_not_checked_at_every_start(monkeypatch: pyte
     assert not is_bundled(changed)
     with pytest.raises(WorldError, match="checked"):
         prepared(compile_task(changed, translator="python"))
+
+
+@pytest.mark.parametrize(
+    ("name", "flags", "message"),
+    [
+        ("task5", ["learner.algorithm=ppo"], "PPO needs a Discrete action space; envs:t4nmtd/Racecar"),
+        ("task7", ["learner.algorithm=sac"], "SAC needs a Box action space; envs:t4nmtd/FrozenLake"),
+        ("task7", ["formula=F(ship)", 'propositions=["ship"]'], "'ship', which the environment does not report"),
+    ],
+)
+def test_the_packages_own_tasks_are_checked_if_changed_in_what_they_need(
+    name: str, flags: list[str], message: str
+) -> None:
+    with pytest.raises(WorldError, match=message):
+        prepared(compile_task(load_task(name, flags=flags), translator="python"))
 
 
 def test_preparing_one_of_the_packages_own_tasks_imports_nothing_heavy() -> None:

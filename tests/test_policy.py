@@ -123,7 +123,7 @@ def test_a_whole_episode_in_the_real_lake_ends_in_acceptance(exported: Path) -> 
     assert policy.state == ACCEPTING
 
 
-@pytest.mark.parametrize("hidden", ["[]", "[8]", "[8,8,8,8,8,8,8]"])
+@pytest.mark.parametrize("hidden", ["[1]", "[8]", "[8,8,8,8,8,8,8]"])
 def test_any_number_of_layers_comes_back(hidden: str, tmp_path: Path) -> None:
     learner = small_learner("p2", f"learner.hidden={hidden}")
     task = small_task(f"learner.hidden={hidden}")

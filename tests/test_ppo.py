@@ -15,7 +15,7 @@ from small_tasks import CARRYING_2, PICK, START, TO_GOAL, TO_PASSENGER_2, small_
 
 from coordinator.state import RunSettings
 from t4nmtd_dist.launch.serial import SerialRun
-from t4nmtd_dist.learners.peers import LocalPeers, NoPeers, PeerCritics, PeerValues
+from t4nmtd_dist.learners.peers import InterventionCounts, LocalPeers, NoPeers, PeerCritics, PeerValues, Questions
 from t4nmtd_dist.learners.ppo import PPOLearner, generalised_advantages
 
 Floats = NDArray[np.float32]
@@ -63,27 +63,35 @@ class RecordingPeers(LocalPeers):
         self.learners = learners
         self.questions: list[tuple[int, str, Floats, int]] = []
 
-    def ask(self, row: int, pid: str, observation: Floats, q: int) -> None:
-        self.questions.append((row, pid, observation.copy(), q))
-        super().ask(row, pid, observation, q)
+    def ask(self, batch: int, questions: Questions) -> None:
+        columns = (questions.rows.tolist(), questions.pids, questions.observations.copy(), questions.q.tolist())
+        self.questions += zip(*columns, strict=True)
+        super().ask(batch, questions)
 
 
 class HalfOfThem:
     """Passes every other question on: the others stay without an answer."""
 
     def __init__(self, peers: PeerCritics) -> None:
-        self.peers, self.counts = peers, peers.counts
+        self.peers = peers
         self.answered: set[int] = set()
         self.turn = 0
 
-    def ask(self, row: int, pid: str, observation: Floats, q: int) -> None:
-        self.turn += 1
-        if self.turn % 2:
-            self.answered.add(row)
-            self.peers.ask(row, pid, observation, q)
+    @property
+    def counts(self) -> InterventionCounts:
+        return self.peers.counts
 
-    def gather(self) -> PeerValues:
-        return self.peers.gather()
+    def ask(self, batch: int, questions: Questions) -> None:
+        for place, row in enumerate(questions.rows.tolist()):
+            self.turn += 1
+            if self.turn % 2:
+                self.answered.add(row)
+                one = slice(place, place + 1)
+                columns = (questions.pids[one], questions.observations[one], questions.q[one])
+                self.peers.ask(batch, Questions(questions.rows[one], *columns))
+
+    def gather(self, batch: int, patience_s: float = 0.0) -> PeerValues:
+        return self.peers.gather(batch, patience_s)
 
 
 def value_of(learner: PPOLearner, observation: Floats, q: int) -> float:
@@ -181,7 +189,7 @@ def test_nobody_is_asked_about_terminals_or_inside_a_subtask() -> None:
 def critics_after(mode: str, rounds: int = 2) -> dict[str, NDArray[np.float32]]:
     """Critic parameters of p2 after some serial rounds that begin beside its passenger."""
     task = small_task(f"learner.intervention={mode}", "learner.attempt_steps=6")
-    run = SerialRun(task, RunSettings(seed=0, max_interactions=10**9, boot_id="b"), lambda: 0.0)
+    run = SerialRun(task, RunSettings(seed=0, max_interactions=10**9), lambda: 0.0)
     run.sessions["p2"].buffer.add(START, BESIDE_2)
     for _ in range(rounds):
         run.round()
@@ -191,8 +199,10 @@ def critics_after(mode: str, rounds: int = 2) -> dict[str, NDArray[np.float32]]:
 
 
 def test_intervention_changes_the_critic_and_only_that_way_of_bootstrapping() -> None:
-    on, again, off = critics_after("query"), critics_after("local"), critics_after("off")
-    assert all(np.array_equal(on[name], again[name]) for name in on)
+    on, off = critics_after("query"), critics_after("off")
+    for mode in ("local", "replica"):
+        again = critics_after(mode)
+        assert all(np.array_equal(on[name], again[name]) for name in on)
     assert any(not np.array_equal(on[name], off[name]) for name in on)
 
 

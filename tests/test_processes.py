@@ -99,6 +99,14 @@ MISTAKES = {
     ),
     "lease of no time": ("t4nmtd-coordinator", ["--task", "task7", "--lease", "0"], {}, ["--lease"]),
     "malformed endpoint": ("t4nmtd-worker", ["--connect", "localhost"], {}, ["tcp://HOST:PORT"]),
+    "too many workers": (
+        "t4nmtd",
+        ["train", "--task", "task7", "--workers", "5"],
+        {},
+        ["--workers 5", "expected 1 to 4"],
+    ),
+    "no workers": ("t4nmtd", ["train", "--task", "task7", "--workers", "0"], {}, ["--workers 0", "expected 1 to 4"]),
+    "serial with workers": ("t4nmtd", ["train", "--task", "task7", "--serial", "--workers", "2"], {}, ["--serial"]),
     "evaluator with a pid": ("t4nmtd-worker", ["--evaluate", "--pid", "p1"], {}, ["--evaluate"]),
 }
 

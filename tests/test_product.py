@@ -66,6 +66,18 @@ def test_transitions_into_an_error_state_are_never_paid(name: str, shaping: Shap
         assert made.terminal[errors].all()
 
 
+@pytest.mark.parametrize(("name", "shaping"), CASES)
+def test_the_error_penalty_is_taken_off_once_where_an_error_state_is_entered(name: str, shaping: Shaping) -> None:
+    task = compiled(name)
+    entered = np.zeros((task.dfa.states, task.dfa.states), np.bool_)
+    entered[np.ix_(sorted(set(range(task.dfa.states)) - task.dfa.error), sorted(task.dfa.error))] = True
+    assert entered.any()
+    for pid in task.decomposition.pids:
+        given = (task.dfa, task.decomposition, pid, task.rho)
+        punished = subtask_tables(*given, gamma=GAMMA, shaping=shaping, error_penalty=7.0).reward
+        assert np.array_equal(punished, tables(task, pid, shaping).reward - 7.0 * entered)
+
+
 @pytest.mark.parametrize("name", ["task7", "task8"])
 def test_masks_say_what_the_automaton_says(name: str) -> None:
     task = compiled(name)

@@ -33,7 +33,7 @@ id = "own_environments:Corridor"
 path = "{HERE}"
 horizon = {HORIZON}
 [learner]
-hidden = []
+hidden = [2]
 """
 
 
@@ -41,7 +41,12 @@ def exported(folder: Path, text: str = CORRIDOR, bias: tuple[float, float] = (1.
     """A policy that always goes left (or right, by ``bias``)."""
     task = compile_task(load_task(str(own_task(folder, text))), translator="python")
     width = 7 + task.dfa.states
-    weights = {"actor.0.weight": np.zeros((2, width), np.float32), "actor.0.bias": np.array(bias, np.float32)}
+    weights = {
+        "actor.0.weight": np.zeros((2, width), np.float32),
+        "actor.0.bias": np.array(bias, np.float32),
+        "actor.2.weight": np.eye(2, dtype=np.float32),
+        "actor.2.bias": np.zeros(2, np.float32),
+    }
     export_policy(folder / "policy", task, [], dict.fromkeys(task.decomposition.pids, weights), {})
     return folder / "policy"
 

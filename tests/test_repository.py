@@ -271,7 +271,7 @@ def test_the_readmes_python_is_the_examples() -> None:
 
 def test_the_example_plays_a_policy_that_was_just_exported(tmp_path: Path) -> None:
     task = compile_task(load_task("task7"), translator="python")
-    run = SerialRun(task, RunSettings(0, 1, "test"), float)
+    run = SerialRun(task, RunSettings(0, 1), float)
     weights = {pid: session.learner.weights() for pid, session in run.sessions.items()}
     export_policy(tmp_path, task, [], weights, {})
     specification = importlib.util.spec_from_file_location("use_policy", ROOT / "examples" / "use_policy.py")

@@ -29,7 +29,7 @@ from coordinator.state import RunSettings
 from t4nmtd_dist.launch.serial import SerialRun
 from t4nmtd_dist.learners.experience import Returns
 from t4nmtd_dist.learners.peers import NoPeers, PeerCritics
-from t4nmtd_dist.learners.sac import SACLearner
+from t4nmtd_dist.learners.sac import BATCHES_AHEAD, SACLearner
 from t4nmtd_dist.learners.sac_update import PeerSoftValues, SACBatch
 
 # Acting and counting
@@ -38,7 +38,7 @@ from t4nmtd_dist.learners.sac_update import PeerSoftValues, SACBatch
 @pytest.mark.parametrize(("name", "pid", "bound"), [("task5", "g1", 1.0), ("task1", "red", 3.5)])
 @pytest.mark.parametrize("share", [0.0, 1.0])
 def test_actions_are_within_the_bounds_and_use_all_of_them(name: str, pid: str, bound: float, share: float) -> None:
-    learner = small_sac(pid, f"sac.exploration_share={share}", "sac.learning_starts=400", name=name)
+    learner = small_sac(pid, f"sac.wave_share={share}", "sac.hold_share=0", "sac.learning_starts=400", name=name)
     taken, step = [], learner.attempts.step
     learner.attempts.step = lambda actions: (taken.append(actions.copy()), step(actions))[1]  # type: ignore
     for _ in range(5):
@@ -104,9 +104,12 @@ def test_what_is_stored_is_what_happened() -> None:
 def test_exploration_is_decided_when_an_attempt_begins_and_at_no_other_time() -> None:
     learner = small_sac("g1", "learner.attempt_steps=4", "sac.learning_starts=400", starts=((START, AT_G1),))
     told: list[tuple[list[bool], float]] = []
-    learner._exploration.begin = lambda copies, success: told.append((copies.tolist(), success))  # type: ignore
+    for exploration in (learner._waves, learner._holds):
+        exploration.begin = lambda copies, success: told.append((copies.tolist(), success))  # type: ignore
     learner.iterate(NoPeers())
     learner.iterate(NoPeers())
+    assert told[::2] == told[1::2], "both kinds are told the same"
+    told = told[::2]
     ended = learner.experience.ended[:40].reshape(20, 2).tolist()
     assert [copies for copies, _ in told] == [[True, True], *ended[:-1]]
     assert told[0][1] == 0.0
@@ -184,7 +187,7 @@ def test_acceptance_is_terminal_and_paid() -> None:
         accepted = q_of(update.batch.next_states) == 5
         assert (update.batch.discounts.numpy()[accepted] == 0).all()
         assert accepted.any()
-        paid = 0.1 * (100 - small_sac_task().rho[TO_G4])
+        paid = 0.1 * 100
         assert update.targets[accepted] == pytest.approx(paid, abs=1e-4)
 
 
@@ -215,6 +218,7 @@ def test_across_a_boundary_the_peers_pair_enters_the_target(shaping: str, n_step
         crossed += len(boundary)
     assert crossed > 50
     assert peers.evaluated == crossed == peers.counts.answered
+    assert peers.counts.own_used == 0
 
 
 def test_what_is_asked_is_the_state_after_the_change_read_by_the_peer() -> None:
@@ -222,30 +226,45 @@ def test_what_is_asked_is_the_state_after_the_change_read_by_the_peer() -> None:
     updates = updates_of(learner, peers)
     asked = iter(peers.questions)
     seen = learner.experience.next_observations
-    for update in updates:
+    for batch, update in enumerate(updates):
         for row in np.flatnonzero(update.returns.boundary):
-            number, pid, observation, q = next(asked)
-            assert (number, pid, q) == (row, "g2", TO_G2)
+            number, asked_row, pid, observation, q = next(asked)
+            assert (number, asked_row, pid, q) == (batch, row, "g2", TO_G2)
             assert pid in small_sac_task().decomposition.available(q)
             assert np.array_equal(observation, seen[update.returns.last[row]])
             expected = product_states(observation[None], np.array([q]))[0]
             assert np.array_equal(update.batch.next_states[row].numpy(), expected)
 
 
-def test_peers_are_asked_for_the_next_batch_before_this_one_is_trained() -> None:
+def test_peers_are_asked_about_the_batches_ahead_before_one_is_trained() -> None:
     """So that another process has time to answer."""
     learner, peers = crossing_learner()
     ahead, update = [], learner.updater.update
 
     def updating(batch: SACBatch, told: PeerSoftValues) -> None:
-        ahead.append(len(peers.questions) - peers.evaluated)
+        ahead.append(max(number for number, *_ in peers.questions) - learner.gradient_steps)
         update(batch, told)
 
     learner.updater.update = updating  # type: ignore[method-assign]
     for _ in range(4):
         learner.iterate(peers)
-    assert np.mean(ahead) > 1
+    assert max(ahead) == BATCHES_AHEAD - 1
+    assert np.mean(ahead) > BATCHES_AHEAD - 2, "nearly every batch has a row across a boundary"
     assert peers.evaluated == sum(len(answers.rows) for answers in peers.gathered)
+
+
+def test_every_question_is_asked_once_and_after_a_resume_once_more() -> None:
+    learner, first = crossing_learner()
+    for _ in range(4):
+        learner.iterate(first)
+    asked = [(batch, row) for batch, row, *_ in first.questions]
+    assert len(asked) == len(set(asked))
+    pending = [drawn.number for drawn in learner._ahead for _ in drawn.asked_rows]
+    assert {*pending} == {batch for batch, _ in asked if batch >= learner.gradient_steps}
+    resumed, again = crossing_learner()
+    resumed._ahead, resumed.gradient_steps = learner._ahead, learner.gradient_steps
+    resumed._ask(again)
+    assert [batch for batch, *_ in again.questions] == pending
 
 
 def test_another_one_hot_would_be_another_answer() -> None:
@@ -296,9 +315,9 @@ def test_a_share_of_a_batch_is_read_in_other_states_of_the_subtask(share: float)
         learner.iterate(NoPeers())
     read, own = [], []
     for _ in range(20):
-        batch = learner._draw(NoPeers())
-        q = batch.states.numpy()[:, -states:].argmax(1)
-        observations = batch.states.numpy()[:, :-states]
+        batch = learner._draw()
+        q = batch.states[:, -states:].argmax(1)
+        observations = batch.states[:, :-states]
         rows = [int(np.flatnonzero((experience.observations == seen).all(1))[0]) for seen in observations]
         read += q.tolist()
         own += experience.q[rows].tolist()
@@ -325,7 +344,7 @@ def test_what_a_relabelled_row_leads_to_is_computed_from_its_letter() -> None:
 def critics_after(mode: str, rounds: int = 5) -> dict[str, NDArray[np.float32]]:
     """Critic parameters of g1 after some serial rounds that often begin in its target."""
     task = small_sac_task(f"learner.intervention={mode}", "learner.attempt_steps=6")
-    run = SerialRun(task, RunSettings(seed=0, max_interactions=10**9, boot_id="b"), lambda: 0.0)
+    run = SerialRun(task, RunSettings(seed=0, max_interactions=10**9), lambda: 0.0)
     run.sessions["g1"].buffer.add(START, AT_G1)
     for _ in range(rounds):
         run.round()
@@ -335,6 +354,34 @@ def critics_after(mode: str, rounds: int = 5) -> dict[str, NDArray[np.float32]]:
 
 
 def test_intervention_changes_the_critic_and_only_that_way_of_bootstrapping() -> None:
-    on, again, off = critics_after("query"), critics_after("local"), critics_after("off")
-    assert all(np.array_equal(on[name], again[name]) for name in on)
+    on, off = critics_after("query"), critics_after("off")
+    for mode in ("local", "replica"):
+        again = critics_after(mode)
+        assert all(np.array_equal(on[name], again[name]) for name in on)
     assert any(not np.array_equal(on[name], off[name]) for name in on)
+
+
+# The entropy coefficient
+
+
+@pytest.mark.parametrize(("gamma", "attempt_steps", "horizon"), [(0.98, 300, 50), (1.0, 300, 300)])
+def test_by_default_random_actions_for_ever_are_worth_one_target(
+    gamma: float, attempt_steps: int, horizon: int
+) -> None:
+    learner = small_sac("g1", f"learner.gamma={gamma}", f"learner.attempt_steps={attempt_steps}")
+    entropy_of_a_step = 2 * np.log(2)  # two actions, each uniform in [-1, 1]
+    alpha = np.exp(learner.weights()["log_alpha"][0])
+    assert alpha * entropy_of_a_step * horizon == pytest.approx(10 * 0.1, rel=1e-4)  # the target's reward, scaled
+
+
+@pytest.mark.parametrize(("success", "share"), [(None, 1.0), (0.0, 1.0), (0.5, 0.25), (1.0, 0.0)])
+def test_the_entropy_coefficient_of_a_learner_that_fails_stays_up(success: float | None, share: float) -> None:
+    learner = small_sac("g1", "sac.initial_alpha=0.3", "sac.alpha_floor=0.5", "learner.reward_scale=1e-6")
+    type_of_attempts = type(learner.attempts)
+    learner.attempts.__class__ = type("Told", (type_of_attempts,), {"recent_success": success})
+    learner.iterate(NoPeers())
+    learner.updater._log_alpha.fill_(-20.0)
+    for _ in range(3):
+        learner.iterate(NoPeers())
+    expected = max(0.3 * 0.5 * share, np.exp(-20.0))
+    assert np.exp(learner.weights()["log_alpha"][0]) == pytest.approx(expected, rel=0.05)

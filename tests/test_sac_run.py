@@ -43,7 +43,7 @@ ROUNDS = 5
 
 
 def run_of(seed: int, *, clock: float = 0.0) -> SerialRun:
-    run = SerialRun(small_sac_task(*SERIAL), RunSettings(seed, 10**9, "serial", lease_s=float("inf")), lambda: clock)
+    run = SerialRun(small_sac_task(*SERIAL), RunSettings(seed, 10**9, lease_s=float("inf")), lambda: clock)
     run.sessions["g1"].buffer.add(START, AT_G1)
     for _ in range(ROUNDS):
         run.round()

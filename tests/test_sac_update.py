@@ -149,7 +149,8 @@ def test_adam_is_torchs_adam() -> None:
 
 
 def random_batch(rows: int, states: int, actions: int, seed: int = 3) -> SACBatch:
-    batch, generator = SACBatch.empty(rows, states, actions), torch.Generator().manual_seed(seed)
+    sizes = ((rows, states), (rows, actions), (rows,), (rows,), (rows, states))
+    batch, generator = SACBatch(*map(torch.zeros, sizes)), torch.Generator().manual_seed(seed)
     batch.states.normal_(generator=generator)
     batch.next_states.normal_(generator=generator)
     batch.actions.uniform_(-1, 1, generator=generator)
@@ -380,3 +381,10 @@ def test_critics_learn_the_rewards_of_a_batch_of_terminals(layer_norm: bool) -> 
     for _ in range(300):
         updater.update(batch)
     assert updater.losses()["critic_loss"] < 0.02 * first
+
+
+@given(st.floats(1e-4, 2.0), st.floats(0.0, 2.0))
+def test_the_entropy_coefficient_is_raised_to_a_floor_and_never_lowered(initial: float, floor: float) -> None:
+    updater = SACUpdater(3, 2, dataclasses.replace(SMALL, initial_alpha=initial), seed=0)
+    updater.keep_alpha_above(floor)
+    assert math.exp(updater.weights()["log_alpha"][0]) == pytest.approx(max(initial, floor), rel=1e-5)

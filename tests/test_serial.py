@@ -18,9 +18,7 @@ FLAGS = ("evaluation.every=100", "evaluation.episodes=2", "environment.horizon=2
 
 
 def run_of(seed: int, *, rounds: int = 0, max_interactions: int = 10**9, clock: float = 0.0) -> SerialRun:
-    run = SerialRun(
-        small_task(*FLAGS), RunSettings(seed, max_interactions, "serial", lease_s=float("inf")), lambda: clock
-    )
+    run = SerialRun(small_task(*FLAGS), RunSettings(seed, max_interactions, lease_s=float("inf")), lambda: clock)
     run.sessions["p2"].buffer.add(START, snapshot_after(*TO_PASSENGER_2))
     for _ in range(rounds):
         run.round()

@@ -31,7 +31,6 @@ from t4nmtd_dist.wire.messages import (
     LearnerStats,
     Message,
     Refused,
-    Shutdown,
     Sync,
     SyncReply,
 )
@@ -191,7 +190,7 @@ class Running:
 
 
 def service_in(folder: Path, endpoints: tuple[str, str] = (FREE_PORT, FREE_PORT)) -> CoordinatorService:
-    state = CoordinatorState(small_task(), RunSettings(seed=0, max_interactions=1000, boot_id="boot"))
+    state = CoordinatorState(small_task(), RunSettings(seed=0, max_interactions=1000))
     return CoordinatorService(state, folder / "run", Access(*endpoints))
 
 
@@ -288,10 +287,9 @@ def test_nonsense_from_a_dashboard_changes_nothing(running: Running) -> None:
     assert isinstance(running.claim()[1], Granted)
 
 
-def test_shutdown_says_goodbye_to_workers_and_ends(running: Running) -> None:
+def test_an_interrupted_coordinator_says_goodbye_to_workers_and_ends(running: Running) -> None:
     worker, _ = running.claim()
-    launcher = running.worker()
-    tell(launcher, Shutdown(reason="asked"))
+    running.service.interrupt("asked")
     assert answer(worker) == Goodbye(reason="stopped")
     running.thread.join(DEADLINE_S)
     assert not running.thread.is_alive()

@@ -27,7 +27,6 @@ def granted(pid: str, epoch: int = 1, role: Role = "learner") -> Granted:
         role=role,
         pid=pid,
         epoch=epoch,
-        boot_id="b",
         lease_s=10.0,
         seed=0,
         task={},

@@ -37,6 +37,11 @@ class WorkerCommand:
     """Name or address under which peers find this worker, if it is another one than --host."""
     insecure: bool = False
     """Allow an address that other machines can reach without keys: on a trusted network only."""
+    checkpoints: Path | None = None
+    """Folder for checkpoints of what is learned here (networks, optimisers, replay); a worker that takes a sub-task
+    goes on from the newest of the same run."""
+    checkpoint_every: float = 300.0
+    """Seconds between two of them; another is written when this worker ends."""
     lifeline: int | None = None
     """End when the process of this number, which started this one, has ended (used by `t4nmtd train`)."""
 
@@ -51,7 +56,7 @@ def main() -> None:
 def run(command: WorkerCommand) -> int:
     """Run a worker; the exit code."""
     os.environ.setdefault("OMP_NUM_THREADS", "1")  # before torch is imported
-    from t4nmtd_dist.errors import T4NMTDError
+    from t4nmtd_dist.errors import ConfigError, T4NMTDError
     from t4nmtd_dist.launch.lifeline import end_with_parent
     from t4nmtd_dist.wire.endpoints import check_endpoint
 
@@ -62,6 +67,8 @@ def run(command: WorkerCommand) -> int:
         if command.evaluate and command.pid:
             print("t4nmtd-worker: --evaluate learns nothing, so it takes no --pid", file=sys.stderr)
             return 2
+        if not command.checkpoint_every > 0:
+            raise ConfigError(f"--checkpoint-every {command.checkpoint_every}: expected seconds above 0")
         return _work(command)
     except T4NMTDError as error:
         print(f"t4nmtd-worker: {error}", file=sys.stderr)
@@ -84,6 +91,8 @@ def _work(command: WorkerCommand) -> int:
         advertise=command.advertise,
         keys=command.keys,
         insecure=command.insecure,
+        checkpoints=command.checkpoints,
+        checkpoint_every_s=command.checkpoint_every,
     )
     return Worker(options).run()
 

@@ -1,23 +1,30 @@
-"""Answers peers' critic requests from published copies of the networks, in a thread of its own."""
+"""Answers peers' critic requests from published copies of the networks, in a thread of its own.
+
+That thread shares the interpreter with the learner, so what it does is time that the learner lacks: all value requests
+that wait for a sub-task are evaluated in one call.
+"""
 
 from __future__ import annotations
 
 import threading
 import time
-from collections.abc import Iterable
-from typing import TYPE_CHECKING
+from collections import OrderedDict
+from collections.abc import Iterable, Sequence
+from contextlib import suppress
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import zmq
+from numpy.typing import NDArray
 
 from t4nmtd_dist.errors import ProtocolError
 from t4nmtd_dist.wire.addresses import LOOPBACK, split_endpoint
 from t4nmtd_dist.wire.allow_list import AllowedKeys
-from t4nmtd_dist.wire.codec import Envelope
+from t4nmtd_dist.wire.codec import Envelope, with_prefix
 from t4nmtd_dist.wire.gate import Arrival, Gate
 from t4nmtd_dist.wire.keys import KeyPair
 from t4nmtd_dist.wire.limits import CRITIC_LIMITS
-from t4nmtd_dist.wire.messages import Failure, Message, ValueReply, ValueRequest
+from t4nmtd_dist.wire.messages import Failure, Message, ValueReply, ValueRequest, WeightsReply, WeightsRequest
 from t4nmtd_dist.wire.notices import Notices, Tell
 from t4nmtd_dist.wire.sockets import Context, bind, bound_endpoint, send
 from t4nmtd_dist.wire.zap import Authenticator, Refusal
@@ -29,6 +36,10 @@ POLL_MS = 200
 MESSAGES_PER_TURN = 200
 STRANGER_S = 5.0
 MOST_STRANGERS = 1000
+WEIGHTS_EVERY_S = 0.5
+WEIGHTS_REMEMBERED = 4096
+
+Answer = tuple[Message, dict[str, NDArray[Any]]]
 
 
 class CriticService:
@@ -69,6 +80,7 @@ class CriticService:
         host, port = split_endpoint(bound_endpoint(self._socket))
         self.endpoint = f"tcp://{advertise or host}:{port}"
         self._critics: dict[str, PublishedValues] = {}
+        self._weights_sent: OrderedDict[tuple[bytes, str], float] = OrderedDict()
         self._stop = threading.Event()
         self._thread = threading.Thread(target=self._loop, name="critic-service", daemon=True)
         self._thread.start()
@@ -101,32 +113,89 @@ class CriticService:
     def _loop(self) -> None:
         while not self._stop.is_set():
             if self._socket.poll(POLL_MS):
-                for arrival in self._gate.arrivals(MESSAGES_PER_TURN):
-                    self._take(arrival)
+                self._take(list(self._gate.arrivals(MESSAGES_PER_TURN)))
             self._gate.expel()
         self._socket.close(0)
 
-    def _take(self, arrival: Arrival) -> None:
-        peer, envelope = arrival.peer, arrival.content
-        if isinstance(envelope, ProtocolError):
-            send(self._socket, Envelope(Failure(text=str(envelope))), peer=peer)
-            return
-        message, arrays = self._answer(envelope)
-        send(self._socket, Envelope(message, arrays, id=envelope.id), peer=peer)
+    def _take(self, arrivals: Sequence[Arrival]) -> None:
+        """Answer everything that waits: value requests together, all else one by one."""
+        asked: dict[str, list[tuple[bytes, Envelope]]] = {}
+        for arrival in arrivals:
+            peer, envelope = arrival.peer, arrival.content
+            if isinstance(envelope, ProtocolError):
+                send(self._socket, Envelope(Failure(text=str(envelope))), peer=peer)
+            elif isinstance(envelope.message, ValueRequest):
+                asked.setdefault(envelope.message.pid, []).append((peer, envelope))
+            else:
+                self._send(peer, envelope, self._other_answer(peer, envelope.message))
+        for pid, requests in asked.items():
+            answers = self._values(pid, [envelope for _, envelope in requests])
+            for (peer, envelope), answer in zip(requests, answers, strict=True):
+                self._send(peer, envelope, answer)
 
-    def _answer(
-        self, envelope: Envelope
-    ) -> tuple[Message, dict[str, np.ndarray[tuple[int, ...], np.dtype[np.float32]]]]:
-        request = envelope.message
-        if not isinstance(request, ValueRequest):
-            return Failure(text=f"a critic takes value requests, not {type(request).__name__}"), {}
+    def _send(self, peer: bytes, question: Envelope, answer: Answer) -> None:
+        send(self._socket, Envelope(*answer, id=question.id), peer=peer)
+
+    def _other_answer(self, peer: bytes, request: Message) -> Answer:
+        if not isinstance(request, WeightsRequest):
+            return Failure(text=f"a critic takes requests of values and weights, not {type(request).__name__}"), {}
         critic = self._critics.get(request.pid)
         if critic is None:
-            return Failure(text=f"no critic of {request.pid!r} here"), {}
-        if envelope.arrays.get("q", np.empty(0)).ndim != 1:
-            return Failure(text="a value request needs q of one dimension"), {}
-        try:
-            values, version = critic.values(envelope.arrays)
-        except ProtocolError as error:
-            return Failure(text=str(error)), {}
-        return ValueReply(version=version), {"value": values}
+            return _no_critic(request.pid)
+        return self._weights(peer, request, critic)
+
+    def _weights(self, peer: bytes, request: WeightsRequest, critic: PublishedValues) -> Answer:
+        """The newest weights, for each connection twice a second at most."""
+        now = time.monotonic()
+        if now - self._weights_sent.get((peer, request.pid), -np.inf) < WEIGHTS_EVERY_S:
+            return Failure(text=f"weights of {request.pid!r} were sent to you less than {WEIGHTS_EVERY_S} s ago"), {}
+        weights, version = critic.weights()
+        if version <= request.newer_than:
+            return WeightsReply(version=version), {}
+        self._weights_sent[peer, request.pid] = now
+        self._weights_sent.move_to_end((peer, request.pid))
+        if len(self._weights_sent) > WEIGHTS_REMEMBERED:
+            self._weights_sent.popitem(last=False)
+        return WeightsReply(version=version), with_prefix("weights.", weights)
+
+    def _values(self, pid: str, requests: Sequence[Envelope]) -> list[Answer]:
+        """Answers to the value requests of one sub-task, from one evaluation if all of them are good."""
+        critic = self._critics.get(pid)
+        if critic is None:
+            return [_no_critic(pid)] * len(requests)
+        if len(requests) > 1:
+            with suppress(ProtocolError, ValueError, KeyError, TypeError):  # one by one then: they fail alone
+                return _together(critic, requests)
+        return [_alone(critic, request) for request in requests]
+
+
+def _no_critic(pid: str) -> Answer:
+    return Failure(text=f"no critic of {pid!r} here"), {}
+
+
+def _alone(critic: PublishedValues, request: Envelope) -> Answer:
+    if request.arrays.get("q", np.empty(0)).ndim != 1:
+        return Failure(text="a value request needs q of one dimension"), {}
+    try:
+        values, version = critic.values(request.arrays)
+    except ProtocolError as error:
+        return Failure(text=str(error)), {}
+    return ValueReply(version=version), {"value": values}
+
+
+def _together(critic: PublishedValues, requests: Sequence[Envelope]) -> list[Answer]:
+    """One evaluation for all requests.
+
+    Raises:
+        ProtocolError: if one of them is not good.
+        ValueError: likewise.
+        KeyError: likewise.
+    """
+    lengths = [len(request.arrays["q"]) for request in requests]
+    if [len(request.arrays["observation"]) for request in requests] != lengths:
+        raise ProtocolError("every request needs as many observations as DFA states")
+    names = ("observation", "q")
+    arrays = {name: np.concatenate([request.arrays[name] for request in requests]) for name in names}
+    values, version = critic.values(arrays)
+    parts = np.split(values, np.cumsum(lengths)[:-1])
+    return [(ValueReply(version=version), {"value": part}) for part in parts]

@@ -8,7 +8,9 @@ from typing import Any
 from numpy.typing import NDArray
 
 from t4nmtd_dist.evaluation import Evaluator
+from t4nmtd_dist.high_level import QEntries
 from t4nmtd_dist.policy import GlobalPolicy
+from t4nmtd_dist.runs.state_tree import State
 from t4nmtd_dist.wire.codec import Envelope
 from t4nmtd_dist.wire.messages import EvaluationJob, EvaluationReport, Granted
 from workers.learner_session import compiled_from
@@ -31,11 +33,8 @@ class EvaluationSession:
         """Run one job."""
         job = envelope.message
         assert isinstance(job, EvaluationJob)
-        policy = self._policy(job, envelope.arrays)
-        if self._evaluator is None:
-            episodes = self._task.config.evaluation.episodes
-            self._evaluator = Evaluator(policy, episodes, seed=self._seed)
-        result = self._evaluator.run(policy)
+        policy = self._policy(job.q_table, envelope.arrays)
+        result = self._evaluator_for(policy).run(policy)
         return EvaluationReport(
             epoch=self.epoch,
             job=job.job,
@@ -47,10 +46,24 @@ class EvaluationSession:
             dfa_path=result.dfa_path,
         )
 
-    def _policy(self, job: EvaluationJob, arrays: Mapping[str, NDArray[Any]]) -> GlobalPolicy:
+    def _evaluator_for(self, policy: GlobalPolicy) -> Evaluator:
+        if self._evaluator is None:
+            self._evaluator = Evaluator(policy, self._task.config.evaluation.episodes, seed=self._seed)
+        return self._evaluator
+
+    def state(self) -> State:
+        """What decides the starts of the next evaluations, for a checkpoint."""
+        return {"evaluator": None if self._evaluator is None else self._evaluator.state()}
+
+    def load_state(self, state: State) -> None:
+        """Go on from a ``state`` of a session of the same run."""
+        if state["evaluator"] is not None:
+            self._evaluator_for(self._policy([], {})).load_state(state["evaluator"])
+
+    def _policy(self, q_table: QEntries, arrays: Mapping[str, NDArray[Any]]) -> GlobalPolicy:
         actors: dict[str, dict[str, NDArray[Any]]] = {}
         for key, array in arrays.items():
             pid, _, name = key.partition("/weights.")
             actors.setdefault(pid, {})[name] = array
         task = self._task
-        return GlobalPolicy(task.config, task.dfa, task.decomposition, job.q_table, actors, task.rho)
+        return GlobalPolicy(task.config, task.dfa, task.decomposition, q_table, actors, task.rho)

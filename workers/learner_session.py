@@ -6,8 +6,10 @@ Pure with respect to the network: messages are made and taken here, and sent els
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import asdict
 from typing import Any
 
+import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
@@ -18,12 +20,14 @@ from t4nmtd_dist.decomposition import Decomposition
 from t4nmtd_dist.initial_state_buffer import InitialStateBuffer
 from t4nmtd_dist.learners.attempts import Progress
 from t4nmtd_dist.learners.build import build_learner, subtask_seed
-from t4nmtd_dist.learners.peers import PeerCritics
+from t4nmtd_dist.learners.peers import InterventionCounts, PeerCritics
+from t4nmtd_dist.runs.state_tree import State
 from t4nmtd_dist.wire.codec import Envelope, without_prefix
 from t4nmtd_dist.wire.messages import Granted, Intervention, LearnerStats, Peer, Sync, SyncReply
 
 RESEND_S = 2.0
 STARTS_PER_SYNC = 64
+INTERVENTION = Intervention.__struct_fields__
 
 
 def compiled_from(granted: Granted) -> CompiledTask:
@@ -57,10 +61,15 @@ class LearnerSession:
         weights = without_prefix("weights.", arrays)
         if weights:
             self.learner.load(weights, granted.version)
+        self.run_id = granted.run_id
         self._training = False
+        self._counts = InterventionCounts()
+        self._told_before = LearnerStats()
         self._begin_lease(sent_version=granted.version)
 
     def _begin_lease(self, sent_version: int) -> None:
+        self._told: LearnerStats | None = None
+        self._told_unless_heard: LearnerStats | None = None
         self._sequence = 0
         self._start_cursor = 0
         self._sent_version = sent_version
@@ -68,9 +77,63 @@ class LearnerSession:
         self._sent_at = -np.inf
 
     def renew(self, granted: Granted) -> None:
-        """Go on under a new lease (the coordinator was started again) with everything learned so far."""
+        """Go on under a new lease (the coordinator was started again) with everything learned so far.
+
+        A coordinator that resumed the run knows what it was told before; a new run is told everything.
+        """
+        if granted.run_id != self.run_id:
+            self.run_id, self._told_before = granted.run_id, LearnerStats()
+        elif self._told is not None:
+            self._told_before = self._told
         self.epoch = granted.epoch
         self._begin_lease(sent_version=0)
+
+    def go_on_from(self, state: State, granted: Granted, arrays: Mapping[str, NDArray[Any]]) -> None:
+        """Go on from a checkpoint of this run under a new lease; weights that came with the lease are kept if newer.
+
+        Counts begin anew: most of what the checkpoint holds was told under an earlier lease, and so was its progress.
+
+        Raises:
+            RunError, PolicyError: if the checkpoint is of another kind of learner.
+        """
+        self._load(state)
+        weights = without_prefix("weights.", arrays)
+        if weights and granted.version > self.learner.version:
+            self.learner.load(weights, granted.version)
+        self.learner.attempts.take_progress()
+        self._counts = InterventionCounts()
+        told = msgspec.convert(state["lease"]["told"], LearnerStats)
+        self._told_before = msgspec.structs.replace(told, intervention=Intervention())
+
+    def state(self) -> State:
+        """Everything, for a checkpoint; arrays may be views, see ``Learner.state``."""
+        return {
+            "learner": self.learner.state(),
+            "buffer": self.buffer.state(),
+            "q_table": self.high_level.entries(),
+            "counts": asdict(self._counts),
+            "lease": {
+                "sequence": self._sequence,
+                "start_cursor": self._start_cursor,
+                "sent_version": self._sent_version,
+                "told": msgspec.to_builtins(self._counts_told()),
+                "told_before": msgspec.to_builtins(self._told_before),
+            },
+        }
+
+    def load_state(self, state: State) -> None:
+        """Go on from a ``state`` under the very same lease: in one process with its coordinator (``--serial``)."""
+        self._load(state)
+        lease = state["lease"]
+        self._sequence, self._start_cursor = lease["sequence"], lease["start_cursor"]
+        self._sent_version = lease["sent_version"]
+        self._told_before = msgspec.convert(lease["told_before"], LearnerStats)
+        self._counts = InterventionCounts(**state["counts"])
+
+    def _load(self, state: State) -> None:
+        self.learner.load_state(state["learner"])
+        self.buffer.load_state(state["buffer"])
+        self.high_level.load((q, pid, value) for q, pid, value in state["q_table"])
 
     def iterate(self, peers: PeerCritics) -> bool:
         """One roll-out and its updates; False while there is no state to start from."""
@@ -92,6 +155,24 @@ class LearnerSession:
         self._sent_at = now
         return self._outstanding
 
+    def last_sync(self) -> Envelope:
+        """What the coordinator has not been told yet, at the end of the work; answered like any other."""
+        self._sequence += 1
+        told = self._told or self._told_before
+        self._outstanding = self._sync()
+        self._told_unless_heard = told
+        return self._outstanding
+
+    @property
+    def heard(self) -> bool:
+        """Whether the coordinator has answered the last message."""
+        return self._outstanding is None
+
+    def _counts_told(self) -> LearnerStats:
+        """Counts that the coordinator has heard of, or will while this lease lasts."""
+        unheard = self._told_unless_heard
+        return self._all_counts() if unheard is None or self.heard else unheard
+
     def _sync(self) -> Envelope:
         arrays = _pack(self.learner.attempts.take_progress())
         if self.learner.version > self._sent_version:
@@ -108,7 +189,12 @@ class LearnerSession:
         return Envelope(message, arrays)
 
     def _stats(self) -> LearnerStats:
-        attempts, counts = self.learner.attempts, getattr(self, "_counts", None)
+        """Counts since the lease began."""
+        self._told = self._all_counts()
+        return counted_since(self._told, self._told_before)
+
+    def _all_counts(self) -> LearnerStats:
+        attempts = self.learner.attempts
         entropy, value_loss = self.learner.losses()
         return LearnerStats(
             phase="training" if self._training else "waiting",
@@ -120,7 +206,7 @@ class LearnerSession:
             episode_steps=attempts.recent_length,
             entropy=entropy,
             value_loss=value_loss,
-            intervention=Intervention(**vars(counts)) if counts else Intervention(),
+            intervention=Intervention(**asdict(self._counts)),
         )
 
     def take_reply(self, envelope: Envelope) -> None:
@@ -137,6 +223,14 @@ class LearnerSession:
                 self.buffer.add(q, state)
         self.high_level.load(reply.q_table)
         self.peers = reply.peers
+
+
+def counted_since(now: LearnerStats, before: LearnerStats) -> LearnerStats:
+    """``now`` with the counts of ``before`` taken off."""
+    counts = ("interactions", "gradient_steps", "attempts", "successes")
+    asked = {name: getattr(now.intervention, name) - getattr(before.intervention, name) for name in INTERVENTION}
+    less = {name: getattr(now, name) - getattr(before, name) for name in counts}
+    return msgspec.structs.replace(now, **less, intervention=Intervention(**asked))
 
 
 def _pack(progress: Progress) -> dict[str, NDArray[Any]]:

@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING, Any
 from numpy.typing import NDArray
 
 from t4nmtd_dist.errors import ProtocolError
-from t4nmtd_dist.learners.peers import LocalPeers, NoPeers, PeerCritics
+from t4nmtd_dist.learners.peers import CriticValues, LocalPeers, MixedPeers, NoPeers, PeerCritics
 from t4nmtd_dist.wire.addresses import critic_endpoints
 from t4nmtd_dist.wire.codec import Envelope
 from t4nmtd_dist.wire.critic_client import QueryPeers
@@ -28,6 +28,7 @@ from t4nmtd_dist.wire.messages import (
     EvaluationJob,
     EvaluationPoll,
     Failure,
+    Goodbye,
     Granted,
     Message,
     Refused,
@@ -35,6 +36,7 @@ from t4nmtd_dist.wire.messages import (
     Role,
     SyncReply,
 )
+from t4nmtd_dist.wire.replica import ReplicaPeers
 from t4nmtd_dist.wire.sockets import connect, new_context, receive, send
 from workers.critic_service import CriticService
 from workers.loading import Loader, WaitingLease
@@ -42,6 +44,7 @@ from workers.state import Action, Ask, Begin, End, Exit, GiveBack, Say, WorkerSt
 
 if TYPE_CHECKING:
     from workers.evaluation_session import EvaluationSession
+    from workers.keeping import SessionKeeper
     from workers.learner_session import LearnerSession
 
 SYNC_INTERVAL_S = 0.2
@@ -50,6 +53,7 @@ IDLE_POLL_S = 0.05
 EVALUATION_POLL_S = 0.2
 EVALUATION_PATIENCE_S = 3.0
 LONG_TURN_S = 2.0
+LAST_ANSWERS_S = 1.0
 STOPPED = 130
 
 
@@ -67,6 +71,8 @@ class WorkerOptions:
     advertise: str = ""
     keys: Path | None = None
     insecure: bool = False
+    checkpoints: Path | None = None
+    checkpoint_every_s: float = 300.0
 
 
 def default_instance() -> str:
@@ -102,16 +108,25 @@ class Worker:
             time.monotonic(),
         )
         self._sessions: dict[str, LearnerSession] = {}
-        self._peers: dict[str, QueryPeers | LocalPeers | NoPeers] = {}
+        self._peers: dict[str, PeerCritics] = {}
+        self._remote: dict[str, QueryPeers | ReplicaPeers] = {}
+        self._own_critics: dict[str, CriticValues] = {}
         self._evaluation: EvaluationSession | None = None
         self._waiting: dict[str, WaitingLease] = {}
         self._loader = Loader(options.role)
+        self._keeper = None if options.checkpoints is None else self._keep(options.checkpoints)
+        self._solved = False
         self._heartbeat_due = 0.0
         self._poll_due = 0.0
         self._turn_began = time.monotonic()
         self._exit: Exit | None = None
         self._told: set[str] = set()
         self._interrupted = False
+
+    def _keep(self, checkpoints: Path) -> SessionKeeper:
+        from workers.keeping import SessionKeeper
+
+        return SessionKeeper(checkpoints, self._options.checkpoint_every_s, say)
 
     def _serve_critics(self) -> CriticService:
         options = self._options
@@ -128,6 +143,7 @@ class Worker:
         try:
             while self._exit is None and not self._interrupted:
                 self._turn()
+            self._end_work()
         finally:
             self._close()
         if self._exit is not None and self._exit.text:
@@ -137,9 +153,36 @@ class Worker:
     def _interrupt(self, *_: object) -> None:
         self._interrupted = True
 
+    def _end_work(self) -> None:
+        """Tell the coordinator the rest, give everything back, and keep what was learned."""
+        sessions = list(self._sessions.values())
+        for session in sessions:
+            sync = session.last_sync()
+            self._send(sync.message, sync.arrays)
+        self._give_back()
+        self._hear_answers(sessions)
+        if self._keeper is not None and self._solved:
+            self._keeper.delete(session.pid for session in sessions)
+        elif self._keeper is not None:
+            self._keeper.finish(sessions)
+
+    def _hear_answers(self, sessions: Sequence[LearnerSession]) -> None:
+        """Wait a moment for the answers to the last messages."""
+        deadline = time.monotonic() + LAST_ANSWERS_S
+        while (left := deadline - time.monotonic()) > 0 and not all(session.heard for session in sessions):
+            try:
+                envelope = receive(self._control, left)
+            except ProtocolError:
+                return
+            for session in sessions:
+                if envelope is not None and isinstance(envelope.message, SyncReply):
+                    session.take_reply(envelope)
+
     def _turn(self) -> None:
         self._open_sessions()
         busy = self._learn()
+        if self._keeper is not None:
+            self._keeper.turn(self._sessions.values())
         self._watch_connection()
         self._hear(0.0 if busy else IDLE_POLL_S)
         now = time.monotonic()
@@ -196,6 +239,8 @@ class Worker:
             self._poll_due = time.monotonic() + EVALUATION_POLL_S
         elif isinstance(message, Refused) and message.reason == "stale epoch" and self._options.role == "evaluator":
             self._evaluation = None
+        elif isinstance(message, Goodbye):
+            self._solved = message.reason == "solved"
         elif isinstance(message, Failure):
             self._exit = Exit(2, f"the coordinator refused a message: {message.text}")
 
@@ -204,9 +249,9 @@ class Worker:
         if session is None:
             return
         session.take_reply(envelope)
-        peers = self._peers[reply.pid]
-        if isinstance(peers, QueryPeers):
-            peers.set_peers(session.peers)
+        if reply.pid in self._remote:
+            elsewhere = {pid: peer for pid, peer in session.peers.items() if pid not in self._own_critics}
+            self._remote[reply.pid].set_peers(elsewhere)
         self._critics.allow(peer.key for held in self._sessions.values() for peer in held.peers.values())
 
     def _poll_evaluation(self, now: float) -> None:
@@ -245,7 +290,11 @@ class Worker:
             if lease.granted.role == "evaluator":
                 self._evaluation = lease.evaluate()
                 continue
-            session = self._sessions[pid] = lease.learn()
+            session = lease.learn()
+            if self._keeper is not None:
+                self._keeper.go_on(session, lease.granted, lease.arrays)
+            self._sessions[pid] = session
+            self._own_critics[pid] = session.learner.critic_values
             self._peers[pid] = self._peers_of(session)
             self._critics.serve(pid, session.learner.published)
         self._waiting.clear()
@@ -259,26 +308,40 @@ class Worker:
             if lease.granted.role == "learner":
                 self._send(lease.heartbeat())
 
-    def _peers_of(self, session: LearnerSession) -> QueryPeers | LocalPeers | NoPeers:
+    def _peers_of(self, session: LearnerSession) -> PeerCritics:
+        """Peers in this process are evaluated directly, whatever the way to the others."""
         if session.intervention == "off":
             return NoPeers()
-        return QueryPeers(
-            self._context, f"{self._options.instance}/{session.pid}", self._keys, session.learner.value_shape
-        )
+        near = LocalPeers(self._own_critics)
+        if session.intervention == "local":
+            return near
+        remote = self._remote[session.pid] = self._remote_peers(session)
+        return MixedPeers(self._own_critics, near, remote)
+
+    def _remote_peers(self, session: LearnerSession) -> QueryPeers | ReplicaPeers:
+        learner, sender = session.learner, f"{self._options.instance}/{session.pid}"
+        if session.intervention == "replica":
+            return ReplicaPeers(self._context, sender, learner.replica, self._keys)
+        return QueryPeers(self._context, sender, self._keys, learner.value_shape)
 
     def _end(self, pid: str) -> None:
         self._waiting.pop(pid, None)
         self._sessions.pop(pid, None)
-        peers: PeerCritics | None = self._peers.pop(pid, None)
-        if isinstance(peers, QueryPeers):
-            peers.close()
+        self._peers.pop(pid, None)
+        self._own_critics.pop(pid, None)
+        remote = self._remote.pop(pid, None)
+        if remote is not None:
+            remote.close()
 
-    def _close(self) -> None:
+    def _give_back(self) -> None:
         epochs = {pid: session.epoch for pid, session in self._sessions.items()}
         epochs |= {pid: lease.granted.epoch for pid, lease in self._waiting.items()}
         for pid, epoch in epochs.items():
             self._send(Release(pid=pid, epoch=epoch))
             self._end(pid)
+
+    def _close(self) -> None:
+        self._give_back()
         self._critics.close()
         self._handshakes.close()
         self._control.close(200)

@@ -23,12 +23,19 @@ class Train(RunOptions):
     """One process, in lock-step, bit-reproducible from the seed; for debugging."""
     keys: Path | None = None
     """Folder made by `t4nmtd keys new`: keeps other users of this machine out; not needed otherwise."""
+    workers: int | None = None
+    """How many processes learn, with the sub-tasks dealt to them in turn; by default one per sub-task."""
 
     def run(self) -> int:
         """Train."""
         from t4nmtd_dist.cli.train import train, train_serial
+        from t4nmtd_dist.errors import ConfigError
 
-        return train_serial(self) if self.serial else train(self, dashboard=not self.no_dashboard, keys=self.keys)
+        if not self.serial:
+            return train(self, dashboard=not self.no_dashboard, keys=self.keys, workers=self.workers)
+        if self.workers is not None:
+            raise ConfigError("--serial runs everything in one process, so it takes no --workers")
+        return train_serial(self)
 
 
 @dataclass(frozen=True)
@@ -151,6 +158,28 @@ class Record:
 
 
 @dataclass(frozen=True)
+class Plot:
+    """Draw learning curves: of one run as it was, of several runs of a task as mean with 95 % interval."""
+
+    runs: Annotated[list[Path], tyro.conf.Positional, tyro.conf.arg(metavar="RUN")]
+    """Run directories, or their copies in benchmarks/results."""
+    out: Path = Path("curves.png")
+    """The picture: .png or .svg."""
+    x: Literal["interactions", "time", "both"] = "both"
+    """What to draw against."""
+    metrics: str = "success,length,return"
+    """What to draw: some of success, length and return."""
+    label: Annotated[list[str], tyro.conf.UseAppendAction] = field(default_factory=list)
+    """Name of a curve: once for all runs, or once for each; runs of one label are one curve. By default the task's."""
+
+    def run(self) -> int:
+        """Draw."""
+        from t4nmtd_dist.cli.plot import plot
+
+        return plot(self.runs, self.out, x=self.x, metrics=self.metrics, labels=self.label)
+
+
+@dataclass(frozen=True)
 class Tasks:
     """List the tasks that come with the package."""
 
@@ -232,4 +261,4 @@ class Doctor:
         return examine(complete_endpoint(self.connect, CONTROL_PORT), self.keys, self.wait)
 
 
-Command = Train | Evaluate | Record | Inspect | Check | Tasks | Dashboard | Keys | Status | Doctor
+Command = Train | Evaluate | Record | Plot | Inspect | Check | Tasks | Dashboard | Keys | Status | Doctor

@@ -8,17 +8,21 @@ from typing import Annotated, Literal
 
 import tyro
 
-from t4nmtd_dist.config import TaskConfig
+from t4nmtd_dist.runs.event_files import TensorBoard
 
 
 @dataclass(frozen=True)
 class RunOptions:
     """What a training run takes, however it is started."""
 
-    task: str
-    """Name of a task (task1 .. task8), or the path of a task file of your own."""
-    seed: int = 0
-    """Seed of networks, exploration and worlds."""
+    task: str = ""
+    """Name of a task (task1 .. task8), or the path of a task file of your own; not needed with --resume."""
+    seed: int | None = None
+    """Seed of networks, exploration and worlds; by default 0."""
+    resume: Path | None = None
+    """Go on with the stopped run in this folder, under its own settings; --max-interactions may give it more."""
+    checkpoint_every: float = 300.0
+    """Seconds between two checkpoints, from which --resume goes on; another is written when the run is stopped."""
     run_dir: Path | None = None
     """Folder of the run; by default runs/TASK/UTC-sSEED."""
     restart: bool = False
@@ -33,22 +37,5 @@ class RunOptions:
     """One setting, such as learner.gamma=0.98; may be repeated."""
     translator: Literal["auto", "mona", "python"] = "auto"
     """How the formula becomes an automaton; auto takes MONA if it is installed."""
-
-    def load(self) -> TaskConfig:
-        """The task's settings with everything laid over.
-
-        Raises:
-            ConfigError: see ``load_task``.
-        """
-        from t4nmtd_dist.tasks import load_task
-
-        flags = list(self.set)
-        if self.max_interactions is not None:
-            flags.append(f"max_interactions={self.max_interactions}")
-        return load_task(self.task, configs=self.config, flags=flags)
-
-    def directory(self, task: str) -> Path:
-        """The run directory to use."""
-        from t4nmtd_dist.runs.directory import default_run_directory
-
-        return self.run_dir if self.run_dir is not None else default_run_directory(task, self.seed)
+    tensorboard: TensorBoard = "auto"
+    """Curves for TensorBoard in the run's folder `tensorboard`; auto writes them if that package is installed."""

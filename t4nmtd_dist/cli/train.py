@@ -9,16 +9,17 @@ import time
 from pathlib import Path
 
 from t4nmtd_dist.cli.options import RunOptions
+from t4nmtd_dist.cli.plan import RunPlan, plan_run
 from t4nmtd_dist.compiled import CompiledTask, compile_task
-from t4nmtd_dist.config import TaskConfig
 from t4nmtd_dist.environments.preparation import prepared, slowness
 from t4nmtd_dist.errors import RunError
-from t4nmtd_dist.launch.local import LocalProcesses
+from t4nmtd_dist.launch.local import LocalProcesses, dealt
 from t4nmtd_dist.runs.directory import RunDirectory, read_summary
+from t4nmtd_dist.runs.resuming import write_identity
 from t4nmtd_dist.wire.keys import ClientKeys, load_client
 
 SOLVED, BUDGET_SPENT, STOPPED = 0, 3, 130
-LAST_STATE_S = 4.0
+LAST_STATE_S = 15.0
 
 
 class _Interrupted:
@@ -34,24 +35,38 @@ class _Interrupted:
         self.seen = True
 
 
-def train(options: RunOptions, *, dashboard: bool, keys: Path | None = None) -> int:
+def train(options: RunOptions, *, dashboard: bool, keys: Path | None = None, workers: int | None = None) -> int:
     """Train with local processes; the exit code: 0 solved, 3 budget spent, 130 interrupted.
 
+    Args:
+        options: what to train.
+        dashboard: whether to show it.
+        keys: folder of keys, for a machine that is shared with others.
+        workers: how many processes learn; None for one per sub-task.
+
     Raises:
+        ConfigError: if the sub-tasks cannot be dealt to so many workers.
         KeyFileError: if the keys cannot be used.
         RunError: if the coordinator or a worker cannot go on.
     """
-    config = options.load()
-    task = _ready(options, config)
-    directory = RunDirectory(options.directory(config.name), restart=options.restart).path
+    plan = plan_run(options)
+    if plan.solved:
+        print(plan.solved)
+        return SOLVED
+    task = _ready(options, plan)
+    hands = dealt(task.decomposition.pids, workers)
+    run = RunDirectory(plan.directory, restart=options.restart, resume=plan.resumes)
+    directory = run.path
     interrupted = _Interrupted()
     processes = LocalProcesses(directory)
     own = None if keys is None else load_client(keys)
     secured = [] if keys is None else ["--keys", str(keys.absolute())]
     try:
         control, publish = processes.start_coordinator([*_coordinator_arguments(options), *secured])
-        for pid in task.decomposition.pids:
-            processes.start_worker(pid.replace("~", "not-"), ["--pid", pid, "--connect", control, *secured])
+        kept = ["--checkpoints", str(run.checkpoints), "--checkpoint-every", str(options.checkpoint_every)]
+        for name, hand in hands.items():
+            places = [flag for pid in hand for flag in ("--pid", pid)]
+            processes.start_worker(name, [*places, "--connect", control, *kept, *secured])
         processes.start_worker("evaluator", ["--evaluate", "--connect", control, *secured])
         _watch(processes, publish, interrupted, dashboard, own)
         if interrupted.seen:
@@ -67,9 +82,9 @@ def train(options: RunOptions, *, dashboard: bool, keys: Path | None = None) -> 
     return code
 
 
-def _ready(options: RunOptions, config: TaskConfig) -> CompiledTask:
+def _ready(options: RunOptions, plan: RunPlan) -> CompiledTask:
     """The task compiled and its environment checked, before anything is started or written."""
-    task = prepared(compile_task(config, translator=options.translator, seed=options.seed))
+    task = prepared(compile_task(plan.config, translator=options.translator, seed=plan.seed))
     warning = slowness(task.config.environment)
     if warning is not None:
         print(f"t4nmtd: warning: {warning}", file=sys.stderr)
@@ -77,7 +92,14 @@ def _ready(options: RunOptions, config: TaskConfig) -> CompiledTask:
 
 
 def _coordinator_arguments(options: RunOptions) -> list[str]:
-    arguments = ["--task", options.task, "--seed", str(options.seed), "--translator", options.translator]
+    arguments = ["--translator", options.translator, "--tensorboard", options.tensorboard]
+    arguments += ["--checkpoint-every", str(options.checkpoint_every)]
+    if options.resume is not None:
+        arguments += ["--resume", str(options.resume)]
+    if options.task:
+        arguments += ["--task", options.task]
+    if options.seed is not None:
+        arguments += ["--seed", str(options.seed)]
     if options.max_interactions is not None:
         arguments += ["--max-interactions", str(options.max_interactions)]
     for path in options.config:
@@ -119,22 +141,34 @@ def train_serial(options: RunOptions) -> int:
     from coordinator.recorder import Recorder
     from coordinator.state import RunSettings
     from t4nmtd_dist.launch.serial import SerialRun
+    from t4nmtd_dist.launch.serial_keeping import SerialKeeper
 
-    config = options.load()
-    task = _ready(options, config)
-    run_dir = RunDirectory(options.directory(config.name), restart=options.restart)
-    settings = RunSettings(options.seed, config.max_interactions, "serial", str(run_dir.path), lease_s=float("inf"))
+    plan = plan_run(options, serial=True)
+    if plan.solved:
+        print(plan.solved)
+        return SOLVED
+    task = _ready(options, plan)
+    run_dir = RunDirectory(plan.directory, restart=options.restart, resume=plan.resumes)
+    run_dir.lock()
+    budget, run_id = plan.config.max_interactions, plan.identity.run_id
+    settings = RunSettings(plan.seed, budget, str(run_dir.path), lease_s=float("inf"), run_id=run_id)
     interrupted = _Interrupted()
     run = SerialRun(task, settings, time.monotonic)
-    recorder = Recorder(run.coordinator, run_dir)
+    keeper = SerialKeeper(run, run_dir, options.checkpoint_every)
+    if plan.resumes:
+        keeper.go_on()
+    write_identity(run_dir.path, plan.identity)
+    recorder = Recorder(run.coordinator, run_dir, options.tensorboard)
     for notes in run.steps():
         for note in notes:
             recorder.record(note)
         recorder.metrics()
+        keeper.turn()
         if interrupted.seen:
             run.stop("interrupted")
     for note in run.notes:
         recorder.record(note)
+    keeper.finish()
     _report(run_dir.path)
     codes = {"solved": SOLVED, "budget spent": BUDGET_SPENT}
     return codes.get(run.coordinator.outcome or "", STOPPED)

@@ -13,6 +13,7 @@ from t4nmtd_dist.environments.attribute_state import CannotRestoreError, pack, r
 from t4nmtd_dist.environments.observations import Flattener, Vector
 from t4nmtd_dist.environments.packing import padded, throw_new_dice, unpadded
 from t4nmtd_dist.errors import WorldError
+from t4nmtd_dist.runs.state_tree import State
 
 _DICE = ("_np_random", "_np_random_seed")
 _OWN, _MUJOCO = "own", "mujoco"
@@ -129,6 +130,13 @@ class AttributeState:
     def throw_new_dice(self, seed: int) -> None:
         """See ``Snapshots.throw_new_dice``."""
         throw_new_dice(self._env, seed)
+
+    def bookkeeping(self) -> State:
+        """Nothing: the snapshot holds the observation."""
+        return {}
+
+    def load_bookkeeping(self, state: State) -> None:
+        """Nothing to load."""
 
 
 class _MujocoState:

@@ -13,8 +13,10 @@ from t4nmtd_dist.config import EnvironmentConfig
 from t4nmtd_dist.environments.labels import LabelReader
 from t4nmtd_dist.environments.observations import Vector, flattener
 from t4nmtd_dist.environments.opening import open_environment
+from t4nmtd_dist.environments.packing import dice_state, set_dice_state
 from t4nmtd_dist.environments.snapshots import make_snapshots
 from t4nmtd_dist.errors import WorldError
+from t4nmtd_dist.runs.state_tree import State
 
 
 class CopyStep(NamedTuple):
@@ -89,6 +91,23 @@ class EnvironmentCopy:
     def throw_new_dice(self, seed: int) -> None:
         """Let the environment's own chance take another course from here."""
         self._snapshots.throw_new_dice(seed)
+
+    def state(self) -> State:
+        """Everything that decides the copy's future, its dice included, for a checkpoint."""
+        return {
+            "snapshot": self._snapshots.get(),
+            "dice": dice_state(self.env),
+            "bookkeeping": self._snapshots.bookkeeping(),
+        }
+
+    def load_state(self, state: State) -> None:
+        """Go on from a ``state``. Steps of a replay are none here: they were counted when they were first taken."""
+        replayed = self._snapshots.replayed
+        self._snapshots.set(state["snapshot"])
+        if self._snapshots.replayed != replayed:
+            self._snapshots.replayed = replayed
+        set_dice_state(self.env, state["dice"])
+        self._snapshots.load_bookkeeping(state["bookkeeping"])
 
 
 def checked_action_space(space: Any) -> Any:

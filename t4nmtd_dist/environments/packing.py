@@ -23,6 +23,18 @@ def throw_new_dice(env: Env, seed: int) -> None:
         env.unwrapped.np_random = fresh
 
 
+def dice_state(env: Env) -> Any:
+    """Where the environment's ``np_random`` is; None if it has none yet."""
+    held = getattr(env.unwrapped, "_np_random", None)
+    return held.bit_generator.state if isinstance(held, np.random.Generator) else None
+
+
+def set_dice_state(env: Env, state: Any) -> None:
+    """Let the environment's ``np_random`` go on from a ``dice_state``."""
+    if state is not None:
+        env.unwrapped.np_random.bit_generator.state = state
+
+
 def padded(data: bytes, room: int) -> NDArray[np.uint8]:
     """Length, data, and zeros up to ``room`` bytes of data (0: no more than needed), uint8.
 

@@ -7,9 +7,9 @@ import dataclasses
 import numpy as np
 
 from t4nmtd_dist.compiled import CompiledTask
-from t4nmtd_dist.config import EnvironmentConfig
+from t4nmtd_dist.config import EnvironmentConfig, TaskConfig
 from t4nmtd_dist.errors import T4NMTDError, WorldError
-from t4nmtd_dist.tasks import is_bundled
+from t4nmtd_dist.tasks import is_bundled, load_task
 
 SLOW = (
     "states of environment {id!r} are restored by replaying actions from a seeded reset, which is slow and counts as "
@@ -21,6 +21,8 @@ SLOW = (
 def prepared(task: CompiledTask) -> CompiledTask:
     """Check the environment of a task, unless it comes with the package and is covered by its tests.
 
+    If formula, propositions or algorithm of such a task were changed, whether they fit is checked all the same.
+
     Returns:
         The task with the way to save and restore states chosen, so that all workers use the same.
 
@@ -29,6 +31,8 @@ def prepared(task: CompiledTask) -> CompiledTask:
             learner cannot use, or does not report what the formula uses.
     """
     if is_bundled(task.config):
+        if _asks_for_more(task.config):
+            _check_world(task)
         return task
     try:
         environment = _checked(task)
@@ -38,6 +42,23 @@ def prepared(task: CompiledTask) -> CompiledTask:
         text = f"environment {task.config.environment.id!r} raised {type(error).__name__}: {error}"
         raise WorldError(text) from error
     return dataclasses.replace(task, config=dataclasses.replace(task.config, environment=environment))
+
+
+def _asks_for_more(config: TaskConfig) -> bool:
+    """Whether the task that comes with the package was changed in what its environment must do."""
+    known = load_task(config.name)
+    return (config.learner.algorithm, config.formula, config.propositions) != (
+        known.learner.algorithm,
+        known.formula,
+        known.propositions,
+    )
+
+
+def _check_world(task: CompiledTask) -> None:
+    from t4nmtd_dist.worlds import make_world
+
+    world = make_world(task.config.environment, 1, task.config.propositions)
+    check_fit(task, world.propositions, world.action_space)
 
 
 def slowness(config: EnvironmentConfig) -> str | None:

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from t4nmtd_dist.environments.observations import Flattener, Vector
 from t4nmtd_dist.environments.packing import padded, throw_new_dice, unpadded
 from t4nmtd_dist.errors import WorldError
+from t4nmtd_dist.runs.state_tree import State
 
 
 class Replay:
@@ -69,6 +70,15 @@ class Replay:
     def throw_new_dice(self, seed: int) -> None:
         """See ``Snapshots.throw_new_dice``."""
         self._throw(seed % (2**32 - 1) + 1)
+
+    def bookkeeping(self) -> State:
+        """Dice thrown since the last step, and where the seeds of resets come from."""
+        return {"dice": self._dice, "seeds": self._seeds.bit_generator.state}
+
+    def load_bookkeeping(self, state: State) -> None:
+        """See ``Snapshots.load_bookkeeping``."""
+        self._dice = state["dice"]
+        self._seeds.bit_generator.state = state["seeds"]
 
     def _throw(self, dice: int) -> None:
         """Throw, and write down before the next step that it was done; 0 stands for dice that are left alone."""

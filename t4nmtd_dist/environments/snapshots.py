@@ -17,6 +17,7 @@ from t4nmtd_dist.environments.observations import Flattener, Vector
 from t4nmtd_dist.environments.opening import Env
 from t4nmtd_dist.environments.replay import Replay
 from t4nmtd_dist.errors import WorldError
+from t4nmtd_dist.runs.state_tree import State
 
 Adapter = Literal["own", "mujoco", "attributes", "replay"]
 ADAPTERS: tuple[Adapter, ...] = ("own", "mujoco", "attributes", "replay")
@@ -41,6 +42,12 @@ class Snapshots(Protocol):
 
     def throw_new_dice(self, seed: int) -> None:
         """Give the environment's random generator a new state."""
+
+    def bookkeeping(self) -> State:
+        """What this adapter remembers beside the environment's state, for a checkpoint."""
+
+    def load_bookkeeping(self, state: State) -> None:
+        """Go on from a ``bookkeeping``, after the snapshot that was taken with it was restored."""
 
 
 def keeps_contract(env: Env) -> bool:
@@ -112,3 +119,10 @@ class Contract:
 
     def throw_new_dice(self, seed: int) -> None:
         """Leave them as they are."""
+
+    def bookkeeping(self) -> State:
+        """Nothing."""
+        return {}
+
+    def load_bookkeeping(self, state: State) -> None:
+        """Nothing to load."""

@@ -11,13 +11,30 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from t4nmtd_dist.errors import RunError
+from t4nmtd_dist.errors import ConfigError, RunError
 from t4nmtd_dist.runs.directory import ENDPOINTS_FILE
 
 START_DEADLINE_S = 60.0
-END_DEADLINE_S = 3.0
+END_DEADLINE_S = 20.0  # time in which workers write their last checkpoints; most need a second
 RESTART_PAUSE_S = 0.5
 MOST_RESTARTS = 20
+
+
+def dealt(pids: Sequence[str], workers: int | None) -> dict[str, list[str]]:
+    """Which sub-tasks each worker process learns, by the name of the process: dealt in turn.
+
+    Args:
+        pids: the sub-tasks.
+        workers: how many processes; None for one each.
+
+    Raises:
+        ConfigError: if there would be none, or some without a sub-task.
+    """
+    count = len(pids) if workers is None else workers
+    if not 1 <= count <= len(pids):
+        raise ConfigError(f"--workers {count}: expected 1 to {len(pids)}, the number of this task's sub-tasks")
+    hands = [list(pids[first::count]) for first in range(count)]
+    return {"+".join(pid.replace("~", "not-") for pid in hand): hand for hand in hands}
 
 
 @dataclass
@@ -127,7 +144,7 @@ class LocalProcesses:
             self._coordinator.terminate()
 
     def end(self) -> None:
-        """End whatever still runs, politely first; returns within a few seconds."""
+        """End whatever still runs, politely first; returns as soon as all have written their checkpoints."""
         running = [child.process for child in self._children.values()]
         running += [self._coordinator] if self._coordinator is not None else []
         for process in running:

@@ -11,10 +11,12 @@ from dataclasses import dataclass
 import torch
 
 from coordinator.events import Action, Event, Finish, Interrupted, Received, RecordEvaluation, Send, Tell
+from coordinator.saved_state import load_saved_state, saved_state
 from coordinator.state import CoordinatorState, RunSettings
 from t4nmtd_dist.compiled import CompiledTask
 from t4nmtd_dist.errors import LeaseError
-from t4nmtd_dist.learners.peers import LocalPeers, NoPeers, PeerCritics
+from t4nmtd_dist.learners.peers import InterventionCounts, LocalPeers, NoPeers, PeerCritics
+from t4nmtd_dist.runs.state_tree import State
 from t4nmtd_dist.wire.codec import Envelope
 from t4nmtd_dist.wire.messages import Claim, EvaluationJob, EvaluationPoll, Granted, Message, Refused
 from workers.evaluation_session import EvaluationSession
@@ -42,6 +44,7 @@ class SerialRun:
         self.evaluator = EvaluationSession(self._claim(Claim(role="evaluator", instance="serial"))[0])
         self.peers: dict[str, PeerCritics] = {pid: self._peers(pid) for pid in self.sessions}
         self.notes: list[Action] = []
+        self._next = 0  # the sub-task whose turn it is in the round
 
     def _begin(self, pid: str) -> LearnerSession:
         granted, envelope = self._claim(Claim(role="learner", instance="serial", pid=pid))
@@ -83,17 +86,47 @@ class SerialRun:
             taken, self.notes = self.notes, []
             yield taken
 
+    def state(self) -> State:
+        """Everything, for a checkpoint; arrays may be views of what is learned with."""
+        return {
+            "coordinator": saved_state(self.coordinator),
+            "sessions": {pid: session.state() for pid, session in self.sessions.items()},
+            "evaluator": self.evaluator.state(),
+            "next": self._next,
+        }
+
+    def load_state(self, state: State) -> None:
+        """Go on from a ``state`` of the same run, exactly as that one would have."""
+        load_saved_state(self.coordinator, state["coordinator"])
+        for pid, session in self.sessions.items():
+            session.load_state(state["sessions"][pid])
+            self._load_counts(pid, state["sessions"][pid])
+        self.evaluator.load_state(state["evaluator"])
+        self._next = state["next"]
+
+    def _load_counts(self, pid: str, session: State) -> None:
+        """What peers were asked; a question that was open is asked, and counted, again."""
+        open_rows = sum(len(drawn["asked_rows"]) for drawn in session["learner"].get("ahead", ()))
+        counts = InterventionCounts(**session["counts"])
+        peers = self.peers[pid]
+        if isinstance(peers, LocalPeers):
+            counts.asked -= open_rows
+            peers.counts = counts
+
     def stop(self, reason: str) -> None:
         """End the run now."""
         self._handle(Interrupted(self.clock(), reason))
 
     def round(self) -> None:
-        """One round of all learners and the evaluator."""
-        for pid, session in self.sessions.items():
+        """One round of all learners and the evaluator; a resumed run goes on with the rest of it."""
+        for pid in list(self.sessions)[self._next :]:
+            session = self.sessions[pid]
             session.iterate(self.peers[pid])
             self._sync(session)
+            self._next += 1
             if self.coordinator.outcome is not None:
                 return
+        self._next = 0
         self._evaluate()
 
     def _sync(self, session: LearnerSession) -> None:

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from t4nmtd_dist.initial_state_buffer import InitialStateBuffer, StartState, sample_starts
 from t4nmtd_dist.product import LetterReader, SubtaskTables
+from t4nmtd_dist.runs.state_tree import State, stacked
 from t4nmtd_dist.worlds import BatchedWorld, Observations, Rows
 
 NO_TARGET = -1
@@ -113,6 +114,44 @@ class Attempts:
     def recent_length(self) -> float | None:
         """Mean length of the last attempts in steps."""
         return float(np.mean([steps for _, steps in self._recent])) if self._recent else None
+
+    def state(self) -> State:
+        """Everything that decides how the attempts go on, and all counts, for a checkpoint."""
+        progress = self.progress
+        return {
+            "columns": {name: column.copy() for name, column in self._columns().items()},
+            "begun": self._begun,
+            "world": self._world.state() if self._begun else None,
+            "rng": self._rng.bit_generator.state,
+            "seeds": self._seeds.bit_generator.state,
+            "counts": [self.interactions, self.attempts, self.successes],
+            "recent": list(self._recent),
+            "changes": list(progress.changes),
+            "starts": {"q": [q for q, _ in progress.starts], "states": stacked([s for _, s in progress.starts])},
+        }
+
+    def load_state(self, state: State) -> None:
+        """Go on from a ``state`` of attempts at the same sub-task in as many copies."""
+        for name, column in self._columns().items():
+            column[:] = state["columns"][name]
+        self._begun = state["begun"]
+        if self._begun:
+            self._world.load_state(state["world"])
+        self._rng.bit_generator.state, self._seeds.bit_generator.state = state["rng"], state["seeds"]
+        self.interactions, self.attempts, self.successes = state["counts"]
+        self._recent.clear()
+        self._recent.extend((success, steps) for success, steps in state["recent"])
+        starts = list(zip(state["starts"]["q"], state["starts"]["states"], strict=True))
+        self.progress = Progress([(q, to, steps, reward) for q, to, steps, reward in state["changes"]], starts)
+
+    def _columns(self) -> dict[str, NDArray[Any]]:
+        return {
+            "observations": self.observations,
+            "q": self.q,
+            "steps": self._steps,
+            "steps_in_q": self._steps_in_q,
+            "seeded": self._seeded,
+        }
 
     def take_progress(self) -> Progress:
         """What happened since the last call."""

@@ -7,9 +7,7 @@ import zlib
 import numpy as np
 
 from t4nmtd_dist.compiled import CompiledTask
-from t4nmtd_dist.config import SACConfig
 from t4nmtd_dist.environments.action_spaces import action_bounds, action_count
-from t4nmtd_dist.errors import ConfigError
 from t4nmtd_dist.high_level import QTable
 from t4nmtd_dist.initial_state_buffer import InitialStateBuffer
 from t4nmtd_dist.learners.attempts import Attempts
@@ -31,12 +29,19 @@ def build_learner(
     """A learner for sub-task ``pid`` in worlds of its own.
 
     Raises:
-        ConfigError: if the replay is too small for what is asked of it.
         WorldError: if the environment cannot be opened, or its spaces or propositions do not fit.
     """
     config = task.config
     settings = config.learner
-    tables = subtask_tables(task.dfa, task.decomposition, pid, task.rho, gamma=settings.gamma, shaping=settings.shaping)
+    tables = subtask_tables(
+        task.dfa,
+        task.decomposition,
+        pid,
+        task.rho,
+        gamma=settings.gamma,
+        shaping=settings.shaping,
+        error_penalty=settings.error_penalty,
+    )
     count = config.sac.worlds if settings.algorithm == "sac" else config.ppo.worlds
     world = make_world(config.environment, count, config.propositions)
     attempts = _attempts(task, tables, world, buffer, seed)
@@ -47,20 +52,10 @@ def build_learner(
             pid, attempts, settings, config.ppo, high_level, dfa_states=states, actions=actions, seed=seed
         )
     bounds = action_bounds(world.action_space, config.environment.id)
-    _check_replay(config.sac)
     from t4nmtd_dist.learners.sac import SACLearner
 
     delta = task.dfa.delta
     return SACLearner(pid, attempts, tables, delta, settings, config.sac, high_level, bounds=bounds, seed=seed)
-
-
-def _check_replay(sac: SACConfig) -> None:
-    kept = sac.replay_rows // sac.worlds * sac.worlds
-    if kept < max(sac.worlds, sac.learning_starts):
-        raise ConfigError(
-            f"sac.replay_rows = {sac.replay_rows}: expected at least sac.learning_starts = {sac.learning_starts}, "
-            f"in whole steps of sac.worlds = {sac.worlds} copies; otherwise learning never starts"
-        )
 
 
 def _attempts(

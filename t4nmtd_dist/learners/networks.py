@@ -10,7 +10,7 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor, nn
 
-from t4nmtd_dist.errors import PolicyError
+from t4nmtd_dist.errors import PolicyError, ProtocolError
 
 Weights = dict[str, NDArray[Any]]
 
@@ -43,6 +43,17 @@ def product_state(observations: NDArray[np.float32], q: NDArray[np.int32], dfa_s
 def weights_of(module: nn.Module) -> Weights:
     """Copies of a module's parameters as numpy arrays by name."""
     return {name: tensor.detach().cpu().numpy().copy() for name, tensor in module.state_dict().items()}
+
+
+def check_finite(weights: Mapping[str, NDArray[Any]]) -> None:
+    """Check weights that came from elsewhere.
+
+    Raises:
+        ProtocolError: if they are not all finite.
+    """
+    for name, array in weights.items():
+        if not np.isfinite(array).all():
+            raise ProtocolError(f"weights are expected to be finite; {name} is not")
 
 
 def load_weights(module: nn.Module, weights: Mapping[str, NDArray[Any]]) -> None:

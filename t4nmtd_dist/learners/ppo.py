@@ -14,14 +14,16 @@ from numpy.typing import NDArray
 from torch import Tensor, nn
 
 from t4nmtd_dist.config import LearnerConfig, PPOConfig
-from t4nmtd_dist.errors import ProtocolError
 from t4nmtd_dist.high_level import QTable
 from t4nmtd_dist.learners.attempts import Attempts, Mask
-from t4nmtd_dist.learners.networks import Weights, load_weights, mlp, product_state, weights_of
-from t4nmtd_dist.learners.peers import PeerCritics, Values
+from t4nmtd_dist.learners.networks import Weights, check_finite, load_weights, mlp, product_state, weights_of
+from t4nmtd_dist.learners.peers import PeerCritics, Questions, Values
+from t4nmtd_dist.learners.value_request import read_value_request
+from t4nmtd_dist.runs.state_tree import State
 from t4nmtd_dist.worlds import Observations
 
 Floats = NDArray[np.float32]
+PATIENCE_S = 0.2  # for the answers to what was asked in the last steps of a roll-out
 
 
 class ActorCritic(nn.Module):
@@ -115,19 +117,32 @@ class PublishedCritic:
                 mine.copy_(theirs)
             self._version = version
 
+    def weights(self) -> tuple[Weights, int]:
+        """The parameters, and their version."""
+        with self._lock:
+            return weights_of(self._copy), self._version
+
+    def load(self, weights: Mapping[str, NDArray[Any]], version: int) -> None:
+        """Answer from the ``weights`` of another copy from now on.
+
+        Raises:
+            PolicyError: if names or shapes differ; the copy is of no use then.
+            ProtocolError: if they are not finite.
+        """
+        check_finite(weights)
+        with self._lock:
+            load_weights(self._copy, weights)
+            self._version = version
+
     @torch.no_grad()
     def values(self, arrays: Mapping[str, NDArray[Any]]) -> tuple[Values, int]:
         """V of the product states in a value request (``observation`` [k, d], ``q`` [k]), and the copy's version.
 
         Raises:
-            ProtocolError: if the arrays do not have those shapes or name a DFA state that does not exist.
+            ProtocolError: if ``observation`` is not finite float32 [k, d] or ``q`` not [k] states of the DFA.
         """
-        observations, q = arrays.get("observation"), arrays.get("q")
-        if observations is None or q is None or observations.shape != (len(q), self._observation_size):
-            raise ProtocolError(f"a value request needs observation [k, {self._observation_size}] and q [k]")
-        if q.dtype.kind != "i" or not ((q >= 0) & (q < self._dfa_states)).all():
-            raise ProtocolError(f"a value request names a DFA state outside 0..{self._dfa_states - 1}")
-        states = product_state(observations.astype(np.float32), q, self._dfa_states)
+        observations, q = read_value_request(arrays, self._observation_size, self._dfa_states)
+        states = product_state(observations, q, self._dfa_states)
         with self._lock:
             values: Values = self._copy(states).squeeze(-1).numpy()
             return values, self._version
@@ -192,6 +207,11 @@ class PPOLearner:
         values: Values = self.network.value(product_state(observations, q, self._dfa_states)).numpy()
         return values
 
+    def replica(self) -> PublishedCritic:
+        """A critic of the same shape, to be loaded with the weights of a peer."""
+        size = self.attempts.observations.shape[1]
+        return PublishedCritic(self.network.critic, size, self._dfa_states)
+
     def weights(self) -> Weights:
         """Copies of all parameters by name."""
         return weights_of(self.network)
@@ -201,6 +221,33 @@ class PPOLearner:
         load_weights(self.network, weights)
         self.version = version
         self.published.update(self.network.critic, version)
+
+    def state(self) -> State:
+        """See ``Learner.state``; a roll-out is over between two iterations, so it is no part."""
+        moments = self._optimiser.state_dict()["state"]
+        return {
+            "weights": self.weights(),
+            "optimiser": {str(i): {name: x.numpy() for name, x in each.items()} for i, each in moments.items()},
+            "attempts": self.attempts.state(),
+            "rng": self._rng.bit_generator.state,
+            "gradient_steps": self.gradient_steps,
+            "version": self.version,
+            "losses": self.losses(),
+        }
+
+    def load_state(self, state: State) -> None:
+        """See ``Learner.load_state``."""
+        self.load(state["weights"], state["version"])
+        moments = {
+            int(i): {name: torch.from_numpy(np.array(x)) for name, x in each.items()}
+            for i, each in state["optimiser"].items()
+        }
+        self._optimiser.load_state_dict({**self._optimiser.state_dict(), "state": moments})
+        self.attempts.load_state(state["attempts"])
+        self._rng.bit_generator.state = state["rng"]
+        self.gradient_steps = state["gradient_steps"]
+        entropy, value_loss = state["losses"]
+        self._last_losses = None if entropy is None else (torch.tensor(entropy), torch.tensor(value_loss))
 
     def iterate(self, peers: PeerCritics) -> bool:
         """Collect one roll-out and learn from it; False while there is no state to start from."""
@@ -236,12 +283,13 @@ class PPOLearner:
 
     def _ask(self, t: int, crossed: Mask, peers: PeerCritics) -> None:
         rollout = self._rollout
-        for n in np.flatnonzero(crossed):
-            q_next = int(rollout.boundary_q[t, n])
-            pid = self.high_level.choose(q_next, self._rng)
-            if pid is not None and pid != self.pid:
-                row = t * rollout.rewards.shape[1] + int(n)
-                peers.ask(row, pid, rollout.boundary_observations[t, n], q_next)
+        heirs = {n: self.high_level.choose(int(rollout.boundary_q[t, n]), self._rng) for n in np.flatnonzero(crossed)}
+        others = {n: pid for n, pid in heirs.items() if pid is not None and pid != self.pid}
+        if others:
+            copies = np.array(list(others), np.int64)
+            rows = t * rollout.rewards.shape[1] + copies
+            observations, q = rollout.boundary_observations[t, copies], rollout.boundary_q[t, copies]
+            peers.ask(self.version, Questions(rows, tuple(others.values()), observations, q))
 
     def learn(self, peers: PeerCritics) -> None:
         """Advantages and PPO's epochs over the roll-out."""
@@ -273,7 +321,7 @@ class PPOLearner:
             next_values[crossed] = self.critic_values(
                 rollout.boundary_observations[crossed], rollout.boundary_q[crossed]
             )
-        answers = peers.gather()
+        answers = peers.gather(self.version, PATIENCE_S)
         next_values.reshape(-1)[answers.rows] = answers.values
         next_values[rollout.terminal] = 0.0
         return values, next_values

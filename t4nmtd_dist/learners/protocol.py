@@ -11,17 +11,29 @@ from numpy.typing import NDArray
 from t4nmtd_dist.learners.attempts import Attempts
 from t4nmtd_dist.learners.networks import Weights
 from t4nmtd_dist.learners.peers import PeerCritics, Values
+from t4nmtd_dist.runs.state_tree import State
 from t4nmtd_dist.worlds import Observations
 
 
 class PublishedValues(Protocol):
-    """A copy of the critic that another thread may ask while the learner trains."""
+    """A copy of the critic that another thread may ask while the learner trains, or that a peer holds."""
 
     def values(self, arrays: Mapping[str, NDArray[Any]]) -> tuple[Values, int]:
         """Values of the product states in a value request, and the version of the copy.
 
         Raises:
             ProtocolError: if the arrays do not fit.
+        """
+
+    def weights(self) -> tuple[Weights, int]:
+        """What the values are computed from, and its version."""
+
+    def load(self, weights: Mapping[str, NDArray[Any]], version: int) -> None:
+        """Answer from the ``weights`` of another copy from now on.
+
+        Raises:
+            PolicyError: if names or shapes differ; the copy is of no use then.
+            ProtocolError: if they are not finite.
         """
 
 
@@ -46,6 +58,9 @@ class Learner(Protocol):
     def published(self) -> PublishedValues:
         """What peers are answered from."""
 
+    def replica(self) -> PublishedValues:
+        """A network of the same shape, to be loaded with a peer's weights."""
+
     def iterate(self, peers: PeerCritics) -> bool:
         """Some steps and the updates they call for; False while there is no state to start from."""
 
@@ -60,3 +75,16 @@ class Learner(Protocol):
 
     def losses(self) -> tuple[float | None, float | None]:
         """Entropy (nats) and critic loss of the last update; None before the first."""
+
+    def state(self) -> State:
+        """Everything that decides how learning goes on after an iteration, for a checkpoint.
+
+        Arrays may be views of what is learned with: write or copy them before the next iteration.
+        """
+
+    def load_state(self, state: State) -> None:
+        """Go on from a ``state`` of a learner of the same sub-task and settings, exactly as that one would have.
+
+        Raises:
+            RunError, PolicyError: if it is of a learner of another shape.
+        """

@@ -2,7 +2,11 @@
 
 from __future__ import annotations
 
+import itertools
+import math
+from collections import deque
 from collections.abc import Mapping
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -15,15 +19,66 @@ from t4nmtd_dist.high_level import QTable
 from t4nmtd_dist.learners.actors import scaled
 from t4nmtd_dist.learners.attempts import Attempts
 from t4nmtd_dist.learners.experience import Experience, Returns
-from t4nmtd_dist.learners.exploration import SinusoidExploration
+from t4nmtd_dist.learners.exploration import HeldActionExploration, SinusoidExploration
 from t4nmtd_dist.learners.networks import Weights
-from t4nmtd_dist.learners.peers import PeerCritics, Values
+from t4nmtd_dist.learners.peers import PeerCritics, Questions, RowNumbers, Values
 from t4nmtd_dist.learners.sac_published import PublishedSoftCritic
 from t4nmtd_dist.learners.sac_update import PeerSoftValues, SACBatch, SACSettings, SACUpdater
-from t4nmtd_dist.product import SubtaskTables
+from t4nmtd_dist.product import TARGET_REWARD, SubtaskTables
+from t4nmtd_dist.runs.state_tree import State
 from t4nmtd_dist.worlds import Observations
 
+BATCHES_AHEAD = 16  # twice what shares a request: the other half is the time that peers have to answer
+
+Floats = NDArray[np.float32]
 States = NDArray[np.int32]
+
+
+@dataclass(frozen=True)
+class DrawnBatch:
+    """A batch between its drawing and its training, as plain data; B rows, k of them across a boundary.
+
+    Attributes:
+        number: gradient steps that come before it.
+        states: product states [B, d + |Q|].
+        actions: [B, A].
+        rewards: scaled n-step returns [B].
+        discounts: [B].
+        next_states: product states that are bootstrapped from [B, d + |Q|].
+        asked_rows: rows whose value is a peer's [k].
+        asked_pids: of which peer [k].
+        asked_q: DFA states of these rows' next states [k].
+    """
+
+    number: int
+    states: Floats
+    actions: Floats
+    rewards: Floats
+    discounts: Floats
+    next_states: Floats
+    asked_rows: RowNumbers
+    asked_pids: tuple[str, ...]
+    asked_q: States
+
+    def questions(self, observation_size: int) -> Questions:
+        """What peers are asked about it; observations are the first ``observation_size`` numbers of a state."""
+        observations = self.next_states[self.asked_rows, :observation_size]
+        return Questions(self.asked_rows, self.asked_pids, observations, self.asked_q)
+
+    def tensors(self) -> SACBatch:
+        """What the gradient step learns from."""
+        columns = (self.states, self.actions, self.rewards, self.discounts, self.next_states)
+        return SACBatch(*map(torch.from_numpy, columns))
+
+
+def modest_alpha(config: LearnerConfig, action_size: int) -> float:
+    """The entropy coefficient with which acting uniformly at random for ever is worth as much as one target.
+
+    More would make every learner of a sparse reward prefer noise to its target; the entropy of a uniform action is
+    ln 2 for each of its A numbers in [-1, 1].
+    """
+    horizon = 1.0 / max(1.0 - config.gamma, 1.0 / config.attempt_steps)
+    return TARGET_REWARD * config.reward_scale / (horizon * action_size * math.log(2.0))
 
 
 class SACLearner:
@@ -62,21 +117,24 @@ class SACLearner:
         count, self._observation_size = attempts.observations.shape
         action_size = len(self._low)
         self.experience = Experience(sac.replay_rows // count, count, self._observation_size, action_size)
-        self._exploration = SinusoidExploration(count, action_size, sac.exploration_share, self._rng)
+        self._waves = SinusoidExploration(count, action_size, sac.wave_share, self._rng)
+        self._holds = HeldActionExploration(count, action_size, sac.hold_share, self._rng)
+        self._initial_alpha = sac.initial_alpha or modest_alpha(config, action_size)
         settings = SACSettings(
             learning_rate=sac.learning_rate,
             tau=sac.tau,
-            initial_alpha=sac.initial_alpha,
+            initial_alpha=self._initial_alpha,
             layer_norm=sac.layer_norm,
             hidden=config.hidden,
         )
-        inputs = self._observation_size + len(delta)
-        self.updater = SACUpdater(inputs, action_size, settings, seed)
-        copy = SACUpdater(inputs, action_size, settings, seed + 1)
-        self.published = PublishedSoftCritic(copy, self._observation_size, len(delta))
+        self.updater = SACUpdater(self._observation_size + len(delta), action_size, settings, seed)
+        self._noise_seeds = itertools.count(seed + 1)
+        self.published = self.replica()
         self._owed = 0.0
-        self._drawn: SACBatch | None = None
+        self._ahead: deque[DrawnBatch] = deque()
+        self._asked = 0  # batches of smaller numbers have been asked about
         self._fresh = np.ones(count, np.bool_)
+        self._earlier_losses: tuple[float | None, float | None] = (None, None)
         self.value_shape: tuple[int, ...] = (2,)
         self.gradient_steps = 0
         self.version = 0
@@ -85,6 +143,12 @@ class SACLearner:
         """(min of the target critics, log pi) of the own actor's action at product states, float32 [k, 2]."""
         values, log_probs = self.updater.soft_values(self._product_states(observations, q))
         return np.stack([values, log_probs], axis=1)
+
+    def replica(self) -> PublishedSoftCritic:
+        """A network of the same shape, with weights of its own, to be loaded with those of a peer."""
+        inputs, actions = self._observation_size + len(self._delta), len(self._low)
+        copy = SACUpdater(inputs, actions, self.updater.settings, next(self._noise_seeds))
+        return PublishedSoftCritic(copy, self._observation_size, len(self._delta))
 
     def weights(self) -> Weights:
         """Copies of all parameters by name, and the bounds that the actor's actions are stretched to."""
@@ -98,10 +162,42 @@ class SACLearner:
 
     def losses(self) -> tuple[float | None, float | None]:
         """Entropy (nats) and critic loss of the last update; None before the first."""
-        if not self.gradient_steps:
-            return None, None
         found = self.updater.losses()
-        return found["entropy"], found["critic_loss"]
+        return (found["entropy"], found["critic_loss"]) if found else self._earlier_losses
+
+    def state(self) -> State:
+        """See ``Learner.state``; the replay's arrays are views."""
+        return {
+            "weights": self.updater.weights(),
+            "optimisers": self.updater.optimiser_state(),
+            "experience": self.experience.state(),
+            "waves": self._waves.state(),
+            "holds": self._holds.state(),
+            "attempts": self.attempts.state(),
+            "rng": self._rng.bit_generator.state,
+            "owed": self._owed,
+            "ahead": [vars(drawn) for drawn in self._ahead],
+            "fresh": self._fresh.copy(),
+            "gradient_steps": self.gradient_steps,
+            "version": self.version,
+            "losses": self.losses(),
+        }
+
+    def load_state(self, state: State) -> None:
+        """See ``Learner.load_state``; peers are asked again about the batches that were drawn ahead."""
+        self.experience.load(state["experience"])
+        self.load(state["weights"], state["version"])
+        self.updater.load_optimiser_state(state["optimisers"])
+        self._waves.load_state(state["waves"])
+        self._holds.load_state(state["holds"])
+        self.attempts.load_state(state["attempts"])
+        self._rng.bit_generator.state = state["rng"]
+        self._owed, self._fresh[:] = state["owed"], state["fresh"]
+        self._ahead = deque(
+            DrawnBatch(**{**drawn, "asked_pids": tuple(drawn["asked_pids"])}) for drawn in state["ahead"]
+        )
+        self.gradient_steps = self._asked = state["gradient_steps"]
+        self._earlier_losses = tuple(state["losses"])
 
     def iterate(self, peers: PeerCritics) -> bool:
         """Some steps of all copies and the updates that they call for; False while there is no state to start from."""
@@ -120,9 +216,11 @@ class SACLearner:
     def _step(self) -> None:
         attempts = self.attempts
         observations, q = attempts.observations.copy(), attempts.q.copy()
-        self._exploration.begin(self._fresh, attempts.recent_success or 0.0)
+        success = attempts.recent_success or 0.0
+        self._waves.begin(self._fresh, success)
+        self._holds.begin(self._fresh, success)
         chosen = self.updater.act(self._product_states(observations, q), deterministic=False)
-        actions = self._exploration.drive(chosen)
+        actions = self._waves.drive(self._holds.drive(chosen))
         step = attempts.step(scaled(actions, self._low, self._high))
         self.experience.add(
             observations, q, actions, step.letters, step.next_observations, step.terminated, step.ended, step.reached
@@ -130,18 +228,34 @@ class SACLearner:
         self._fresh = step.ended
 
     def _train(self, peers: PeerCritics) -> None:
-        """Train on the batch drawn before, whose peers have had time to answer, and draw the next."""
+        """Train on the batch drawn longest ago, whose peers have had time to answer, and draw the next."""
         if len(self.experience) < self._sac.learning_starts:
             return
-        drawn = self._drawn or self._draw(peers)
-        answers = peers.gather()
-        self._drawn = self._draw(peers)
+        while len(self._ahead) < BATCHES_AHEAD:
+            self._ahead.append(self._draw())
+        self._ask(peers)
+        drawn = self._ahead.popleft()
+        answers = peers.gather(drawn.number)
         values, log_probs = answers.values.reshape(-1, 2).T
-        self.updater.update(drawn, PeerSoftValues(answers.rows, values, log_probs))
+        self.updater.update(drawn.tensors(), PeerSoftValues(answers.rows, values, log_probs))
+        self.updater.keep_alpha_above(self._alpha_floor())
         self.gradient_steps += 1
 
-    def _draw(self, peers: PeerCritics) -> SACBatch:
-        """A batch, each row read in its own DFA state or in another of the sub-task's, with peers asked."""
+    def _alpha_floor(self) -> float:
+        """A learner that fails goes on exploring: its entropy coefficient falls with its failures, not before them."""
+        failures = 1.0 - (self.attempts.recent_success or 0.0)
+        return self._initial_alpha * self._sac.alpha_floor * failures**2
+
+    def _ask(self, peers: PeerCritics) -> None:
+        """Ask peers about the batches ahead that they have not been asked about: after a resume about all of them."""
+        for drawn in self._ahead:
+            if drawn.number >= self._asked:
+                self._asked = drawn.number + 1
+                if len(drawn.asked_rows):
+                    peers.ask(drawn.number, drawn.questions(self._observation_size))
+
+    def _draw(self) -> DrawnBatch:
+        """A batch, each row read in its own DFA state or in one drawn from all of the sub-task's."""
         sac, experience = self._sac, self.experience
         rows = experience.sample(sac.batch, sac.success_share, self._rng)
         q = experience.q[rows]
@@ -149,22 +263,25 @@ class SACLearner:
             other = self._readable[self._rng.integers(len(self._readable), size=len(rows))]
             q = np.where(self._rng.random(len(rows)) < sac.relabel_share, other, q)
         returns = experience.returns(rows, q, self._tables, self._delta, self._config.gamma, sac.n_step)
-        next_observations = experience.next_observations[returns.last]
-        self._ask(returns, next_observations, peers)
-        return SACBatch(
-            states=torch.from_numpy(self._product_states(experience.observations[rows], q)),
-            actions=torch.from_numpy(experience.actions[rows]),
-            rewards=torch.from_numpy((returns.reward * self._config.reward_scale).astype(np.float32)),
-            discounts=torch.from_numpy(returns.discount.astype(np.float32)),
-            next_states=torch.from_numpy(self._product_states(next_observations, returns.q_next)),
+        asked_rows, asked_pids = self._heirs(returns)
+        return DrawnBatch(
+            number=self.gradient_steps + len(self._ahead),
+            states=self._product_states(experience.observations[rows], q),
+            actions=experience.actions[rows],
+            rewards=(returns.reward * self._config.reward_scale).astype(np.float32),
+            discounts=returns.discount.astype(np.float32),
+            next_states=self._product_states(experience.next_observations[returns.last], returns.q_next),
+            asked_rows=asked_rows,
+            asked_pids=asked_pids,
+            asked_q=returns.q_next[asked_rows].astype(np.int32),
         )
 
-    def _ask(self, returns: Returns, next_observations: Observations, peers: PeerCritics) -> None:
-        for row in np.flatnonzero(returns.boundary):
-            q_next = int(returns.q_next[row])
-            pid = self.high_level.choose(q_next, self._rng)
-            if pid is not None and pid != self.pid:
-                peers.ask(int(row), pid, next_observations[row], q_next)
+    def _heirs(self, returns: Returns) -> tuple[RowNumbers, tuple[str, ...]]:
+        """The rows that hand over to another sub-task, and to which: T' ~ E(Q, q')."""
+        boundary = np.flatnonzero(returns.boundary)
+        pids = [self.high_level.choose(q, self._rng) for q in returns.q_next[boundary].tolist()]
+        others = [place for place, pid in enumerate(pids) if pid is not None and pid != self.pid]
+        return boundary[others], tuple(str(pids[place]) for place in others)
 
     def _product_states(self, observations: Observations, q: States) -> NDArray[np.float32]:
         joined = np.zeros((len(observations), self._observation_size + len(self._delta)), np.float32)

@@ -1,4 +1,7 @@
-"""A copy of a SAC learner that other threads may ask for soft values while the original is trained."""
+"""A copy of a SAC learner: other threads may ask it for soft values while the original is trained.
+
+A learner answers its peers from one, and a peer may hold one as a replica.
+"""
 
 from __future__ import annotations
 
@@ -9,10 +12,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from t4nmtd_dist.errors import ProtocolError
-from t4nmtd_dist.learners.networks import product_state
+from t4nmtd_dist.learners.networks import Weights, check_finite, product_state
 from t4nmtd_dist.learners.peers import Values
-from t4nmtd_dist.learners.sac_update import SACUpdater
+from t4nmtd_dist.learners.sac_update import SACUpdater, part_of
+from t4nmtd_dist.learners.value_request import read_value_request
 
 
 class PublishedSoftCritic:
@@ -37,19 +40,33 @@ class PublishedSoftCritic:
             self._copy.load(weights)
             self._version = version
 
+    def weights(self) -> tuple[Weights, int]:
+        """What answers are computed from, ``actor.*`` and ``targets.*``, and its version."""
+        with self._lock:
+            weights, version = self._copy.weights(), self._version
+        return {name: array for name, array in weights.items() if name.startswith(("actor.", "targets."))}, version
+
+    def load(self, weights: Mapping[str, NDArray[Any]], version: int) -> None:
+        """Answer from the ``weights`` of another copy from now on.
+
+        Raises:
+            PolicyError: if names or shapes differ; the copy is of no use then.
+            ProtocolError: if they are not finite.
+        """
+        check_finite(weights)
+        copied = {name: np.array(array) for name, array in weights.items()}  # torch wants to be able to write
+        unused = {f"critics.{name}": array for name, array in part_of(copied, "targets").items()}
+        with self._lock:
+            self._copy.load({**copied, **unused, "log_alpha": np.zeros(1, np.float32)})
+            self._version = version
+
     def values(self, arrays: Mapping[str, NDArray[Any]]) -> tuple[Values, int]:
         """Soft values float32 [k, 2] of the product states in a value request, and the copy's version.
 
         Raises:
             ProtocolError: if ``observation`` is not finite float32 [k, d] or ``q`` not [k] states of the DFA.
         """
-        observations, q = arrays.get("observation"), arrays.get("q")
-        if observations is None or q is None or q.ndim != 1 or observations.shape != (len(q), self._observation_size):
-            raise ProtocolError(f"a value request needs observation [k, {self._observation_size}] and q [k]")
-        if observations.dtype != np.float32 or not np.isfinite(observations).all():
-            raise ProtocolError("a value request needs observations that are finite numbers in float32")
-        if q.dtype.kind != "i" or not ((q >= 0) & (q < self._dfa_states)).all():
-            raise ProtocolError(f"a value request names a DFA state outside 0..{self._dfa_states - 1}")
+        observations, q = read_value_request(arrays, self._observation_size, self._dfa_states)
         states = product_state(observations, q, self._dfa_states).numpy()
         with self._lock:
             values, log_probs = self._copy.soft_values(states)

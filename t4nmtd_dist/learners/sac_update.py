@@ -90,17 +90,6 @@ class SACBatch:
     discounts: Tensor
     next_states: Tensor
 
-    @classmethod
-    def empty(cls, rows: int, state_size: int, action_size: int) -> SACBatch:
-        """Room for a batch, to be filled by a replay buffer."""
-        return cls(
-            torch.zeros(rows, state_size),
-            torch.zeros(rows, action_size),
-            torch.zeros(rows),
-            torch.zeros(rows),
-            torch.zeros(rows, state_size),
-        )
-
 
 class _Room:
     """Buffers for the update of a batch of a given size; names ending in ``array`` are numpy views of tensors.
@@ -285,6 +274,11 @@ class SACUpdater:
         self._optimisers["actor"].step()
         values: Reals = room.values_array.min(0)
         return values
+
+    def keep_alpha_above(self, floor: float) -> None:
+        """Raise the entropy coefficient to ``floor`` if it has fallen below."""
+        if floor > 0.0:
+            self._log_alpha.clamp_(min=math.log(floor))
 
     def losses(self) -> dict[str, float]:
         """Losses of the last update of critics and actor, and what they are made of; empty before the first.

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+import fcntl
 import json
 import os
 import platform
@@ -11,7 +12,7 @@ from collections.abc import Mapping, Sequence
 from datetime import UTC, datetime
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
-from typing import Any
+from typing import IO, Any
 
 import tomli_w
 
@@ -22,6 +23,9 @@ from t4nmtd_dist.errors import RunError
 CONFIG_FILE = "config.toml"
 SUMMARY_FILE = "summary.json"
 ENDPOINTS_FILE = "endpoints.json"
+CHECKPOINTS_FOLDER = "checkpoints"
+LOCK_FILE = ".lock"
+ROUNDING_S = 0.001  # of times in the metrics
 PACKAGES = ("torch", "numpy", "gymnasium", "pyzmq", "msgpack", "msgspec", "safetensors", "ltlf2dfa")
 
 
@@ -41,29 +45,47 @@ def write_atomically(path: Path, text: str) -> None:
     os.replace(fresh, path)
 
 
+def _until(line: str, elapsed_s: float) -> bool:
+    """Whether a line is no row of metrics, or one of no later than ``elapsed_s``."""
+    first, comma, _ = line.partition(",")
+    try:
+        return not comma or float(first) <= elapsed_s + ROUNDING_S
+    except ValueError:
+        return True
+
+
 class RunDirectory:
     """One training's folder.
 
     Args:
         path: the folder; its parents are made.
         restart: begin anew in a folder that holds an earlier run, which is then deleted.
+        resume: go on with the run that the folder holds.
 
     Raises:
-        RunError: if the folder holds a run and ``restart`` is not given, or cannot be written.
+        RunError: if the folder holds a run and neither ``restart`` nor ``resume`` is given, if that run is still going
+            on, or if the folder cannot be written.
     """
 
-    def __init__(self, path: Path, *, restart: bool = False) -> None:
+    def __init__(self, path: Path, *, restart: bool = False, resume: bool = False) -> None:
         self.path = path
+        self._lock: IO[str] | None = None
         try:
-            self._prepare(restart)
+            self._prepare(restart, resume)
         except OSError as error:
             raise RunError(f"cannot write the run directory {path}: {error.strerror}") from None
 
-    def _prepare(self, restart: bool) -> None:
+    def _prepare(self, restart: bool, resume: bool) -> None:
         if (self.path / CONFIG_FILE).exists():
-            if not restart:
-                raise RunError(f"{self.path} holds a run already; pass --restart to delete it, or choose another")
-            shutil.rmtree(self.path)
+            if not restart and not resume:
+                raise RunError(
+                    f"{self.path} holds a run already; pass --resume {self.path} to go on with it, --restart to delete "
+                    "it, or choose another"
+                )
+            self.lock()
+            self.unlock()
+            if restart:
+                shutil.rmtree(self.path)
         for name in ("metrics", "logs"):
             (self.path / name).mkdir(parents=True, exist_ok=True)
         self._point_latest()
@@ -73,6 +95,40 @@ class RunDirectory:
         fresh.unlink(missing_ok=True)
         fresh.symlink_to(self.path.name, target_is_directory=True)
         os.replace(fresh, self.path.parent / "latest")
+
+    def lock(self) -> None:
+        """Claim the folder for this process; the operating system ends the claim with it, however it ends.
+
+        Raises:
+            RunError: if another process has claimed it.
+        """
+        file = (self.path / LOCK_FILE).open("a", encoding="utf-8")
+        try:
+            fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError:
+            file.close()
+            raise RunError(f"the run in {self.path} is still going on; stop it first") from None
+        self._lock = file
+
+    def unlock(self) -> None:
+        """Give the folder back."""
+        if self._lock is not None:
+            self._lock.close()
+            self._lock = None
+
+    @property
+    def checkpoints(self) -> Path:
+        """Folder of all checkpoints."""
+        return self.path / CHECKPOINTS_FOLDER
+
+    def mend(self, elapsed_s: float) -> None:
+        """Before a resume: cut off what a killed process left half-written, and metrics of after ``elapsed_s``."""
+        for path in [self.path / "events.jsonl", *(self.path / "metrics").glob("*.csv")]:
+            if path.exists():
+                lines = path.read_text(encoding="utf-8", errors="replace").splitlines(keepends=True)
+                kept = [line for line in lines if line.endswith("\n") and _until(line, elapsed_s)]
+                if kept != lines:
+                    write_atomically(path, "".join(kept))
 
     def write_settings(self, config: TaskConfig, seed: int, max_interactions: int) -> None:
         """Resolved settings and the versions of everything that computes."""

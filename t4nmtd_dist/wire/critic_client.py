@@ -3,152 +3,214 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Mapping
-from contextlib import suppress
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 
 import numpy as np
-import zmq
-from numpy.typing import NDArray
 
-from t4nmtd_dist.errors import ConfigError, ProtocolError
-from t4nmtd_dist.learners.peers import InterventionCounts, PeerValues, joined
-from t4nmtd_dist.wire.codec import Envelope, decode
+from t4nmtd_dist.learners.peers import InterventionCounts, PeerValues, Questions, Values, together
+from t4nmtd_dist.wire.codec import Envelope
 from t4nmtd_dist.wire.keys import ClientKeys
 from t4nmtd_dist.wire.messages import Peer, ValueReply, ValueRequest
-from t4nmtd_dist.wire.sockets import Context, Socket, connect, send
+from t4nmtd_dist.wire.peer_lines import PeerLines, arrived
+from t4nmtd_dist.wire.sockets import Context, Socket, send
 
-ROWS_PER_REQUEST = 64
-REQUESTS_IN_FLIGHT = 4
-DEADLINE_S = 0.2
-MISSES_UNTIL_NO_WAIT = 3
-HANDSHAKE_MS = 2000  # a peer that does not know of us yet stays silent; ask again then
+ROWS_PER_REQUEST = 128
+GATHERINGS_PER_REQUEST = 8
+MISSES_UNTIL_PROBING = 3
+PROBE_EVERY_S = 0.5
 
-Question = tuple[int, NDArray[np.float32], int]
+
+@dataclass
+class _Batch:
+    """A batch from its first question until it is gathered; later answers to it find it closed.
+
+    Attributes:
+        asked: rows asked for.
+        outstanding: of them, rows in requests without an answer.
+        answers: what came, with the peer it came from and the version that answered.
+    """
+
+    asked: int = 0
+    outstanding: int = 0
+    answers: list[tuple[PeerValues, str, int]] = field(default_factory=list)
+    closed: bool = False
+
+
+@dataclass(frozen=True)
+class _Part:
+    """The questions of one batch to one peer."""
+
+    batch: _Batch
+    questions: Questions
 
 
 @dataclass
 class _Line:
-    """The connection to one peer."""
+    """The connection to one peer.
+
+    Attributes:
+        unsent: what the next request asks for.
+        waited: gatherings since the first of that was asked.
+        in_flight: what was asked, by number of the request.
+        misses: requests in a row whose batches were gathered before the answer came.
+        probe_at: while the peer is silent, when to ask again.
+    """
 
     peer: Peer
     socket: Socket
-    unsent: list[Question] = field(default_factory=list)
-    in_flight: dict[int, list[int]] = field(default_factory=dict)
+    unsent: list[_Part] = field(default_factory=list)
+    waited: int = 0
+    in_flight: dict[int, list[_Part]] = field(default_factory=dict)
     misses: int = 0
+    probe_at: float = 0.0
+
+    @property
+    def silent(self) -> bool:
+        """Whether it has left so much unanswered that it is no longer waited for."""
+        return self.misses >= MISSES_UNTIL_PROBING
+
+    def rows_of(self, batch: _Batch) -> int:
+        """Rows of ``batch`` that are unsent."""
+        return sum(len(part.questions) for part in self.unsent if part.batch is batch)
+
+    def is_due(self, gathered: _Batch) -> bool:
+        """Whether what is unsent cannot wait for more questions when ``gathered`` is."""
+        self.waited += 1
+        return self.waited >= GATHERINGS_PER_REQUEST or any(part.batch is gathered for part in self.unsent)
 
 
 class QueryPeers:
-    """Peers in other processes: requests go out while the roll-out is collected, answers are gathered at its end.
+    """Peers in other processes: requests go out ahead of the training, answers are gathered when a batch is trained.
 
-    A peer that is away, slow or unknown costs at most one short deadline; its rows are then left unanswered, and
-    the learner falls back to its own critic. After three misses in a row a peer is no longer waited for until it
-    answers again.
+    Neighbouring batches share a request: it goes out once one of them has ``ROWS_PER_REQUEST`` rows, after some
+    gatherings, and at the latest when one of its batches is gathered. A peer that is away, slow or unknown costs no
+    more than the patience of the gatherer: its rows are left unanswered, and the learner falls back to its own critic.
+    After three misses in a row a peer is not waited for any more, and asked but every half a second, until it answers.
 
     Args:
         context: the process's ZeroMQ context.
         sender: the name that requests carry.
         keys: this worker's own, if the coordinator has keys; each peer's public key comes with its address.
         value_shape: shape of one answer: () for PPO, (2,) for SAC; any other counts as none.
+        clock: seconds that only grow.
     """
 
     def __init__(
-        self, context: Context, sender: str, keys: ClientKeys | None = None, value_shape: tuple[int, ...] = ()
+        self,
+        context: Context,
+        sender: str,
+        keys: ClientKeys | None = None,
+        value_shape: tuple[int, ...] = (),
+        clock: Callable[[], float] = time.monotonic,
     ) -> None:
-        self._context, self._sender, self._keys = context, sender, keys
-        self._value_shape = value_shape
-        self._lines: dict[str, _Line] = {}
+        self._sender, self._value_shape, self._clock = sender, value_shape, clock
+        self._connections = PeerLines(context, keys, _Line)
+        self._batches: dict[int, _Batch] = {}
         self._next_id = 0
-        self._answers: list[tuple[list[int], NDArray[np.float32]]] = []
-        self._asked_now = 0
         self.counts = InterventionCounts()
 
     def set_peers(self, peers: Mapping[str, Peer]) -> None:
         """Where peers answer now; a peer that moved is connected to anew."""
-        for pid in set(self._lines) - set(peers):
-            self._lines.pop(pid).socket.close(0)
-        for pid, peer in peers.items():
-            line = self._lines.get(pid)
-            if line is not None and (line.peer.endpoint, line.peer.key) == (peer.endpoint, peer.key):
-                line.peer = peer
-                continue
-            if line is not None:
-                self._lines.pop(pid).socket.close(0)
-            with suppress(ConfigError):  # a peer without a usable address counts as away
-                self._lines[pid] = _Line(peer, self._connect(peer))
-
-    def _connect(self, peer: Peer) -> Socket:
-        if self._keys is None:
-            return connect(self._context, peer.endpoint)
-        if not peer.key:
-            raise ConfigError("a peer without a key is not asked while this worker has keys")
-        return connect(self._context, peer.endpoint, self._keys.to(peer.key), handshake_ms=HANDSHAKE_MS)
+        self._connections.set_peers(peers)
 
     def close(self) -> None:
         """Close all connections."""
         self.set_peers({})
 
-    def ask(self, row: int, pid: str, observation: NDArray[np.float32], q: int) -> None:
+    def ask(self, batch: int, questions: Questions) -> None:
         """See ``PeerCritics.ask``."""
-        self.counts.asked += 1
-        self._asked_now += 1
-        line = self._lines.get(pid)
-        if line is None:
-            return
-        line.unsent.append((row, observation.copy(), q))
-        if len(line.unsent) >= ROWS_PER_REQUEST and len(line.in_flight) < REQUESTS_IN_FLIGHT:
-            self._request(pid, line)
+        self.counts.asked += len(questions)
+        opened = self._batches.setdefault(batch, _Batch())
+        opened.asked += len(questions)
+        for pid, part in questions.by_pid().items():
+            line = self._connections.lines.get(pid)
+            if line is None:
+                continue
+            line.unsent.append(_Part(opened, part))
+            if line.rows_of(opened) >= ROWS_PER_REQUEST:
+                self._request(pid, line)
 
     def _request(self, pid: str, line: _Line) -> None:
-        questions, line.unsent = line.unsent, []
+        parts, line.unsent, line.waited = [part for part in line.unsent if not part.batch.closed], [], 0
+        if not parts or (line.silent and self._clock() < line.probe_at):
+            return
+        line.probe_at = self._clock() + PROBE_EVERY_S
         self._next_id += 1
-        arrays = {
-            "observation": np.stack([observation for _, observation, _ in questions]),
-            "q": np.array([q for _, _, q in questions], np.int32),
-        }
+        asked = together([part.questions for part in parts])[pid]
+        arrays = {"observation": asked.observations, "q": np.asarray(asked.q, np.int32)}
         if send(line.socket, Envelope(ValueRequest(pid=pid), arrays, self._sender, self._next_id)):
-            line.in_flight[self._next_id] = [row for row, _, _ in questions]
+            line.in_flight[self._next_id] = parts
+            for part in parts:
+                part.batch.outstanding += len(part.questions)
 
-    def gather(self) -> PeerValues:
-        """See ``PeerCritics.gather``; waits at most ``DEADLINE_S`` in all."""
-        for pid, line in self._lines.items():
-            if line.unsent:
+    def gather(self, batch: int, patience_s: float = 0.0) -> PeerValues:
+        """See ``PeerCritics.gather``."""
+        gathered = self._batches.pop(batch, None) or _Batch()
+        for pid, line in self._connections.lines.items():
+            if line.unsent and line.is_due(gathered):
                 self._request(pid, line)
-        deadline = time.monotonic() + DEADLINE_S
-        for line in self._lines.values():
-            self._drain(line, deadline)
-            line.misses = line.misses + 1 if line.in_flight else 0
-            line.in_flight.clear()
-        answers, self._answers = self._answers, []
-        rows = [row for numbers, _ in answers for row in numbers]
-        self.counts.answered += len(rows)
-        self.counts.own_used += self._asked_now - len(rows)
-        self._asked_now = 0
-        values = [values for _, values in answers]
-        return PeerValues(np.array(rows, np.int64), joined(values))
+        if not gathered.asked:
+            return PeerValues.joined([])
+        deadline = self._clock() + patience_s
+        for pid, line in self._connections.lines.items():
+            if line.in_flight:
+                self._drain(pid, line, gathered, deadline)
+        return self._close(gathered)
 
-    def _drain(self, line: _Line, deadline: float) -> None:
+    def _drain(self, pid: str, line: _Line, gathered: _Batch, deadline: float) -> None:
+        """Take what has come; wait for what ``gathered`` still lacks of this peer."""
         while True:
-            wait = line.in_flight and line.misses < MISSES_UNTIL_NO_WAIT
-            patience = max(0.0, deadline - time.monotonic()) if wait else 0.0
-            if not line.socket.poll(int(patience * 1000)):
+            lacking = any(part.batch is gathered for parts in line.in_flight.values() for part in parts)
+            patience_s = max(0.0, deadline - self._clock()) if lacking and not line.silent else 0.0
+            envelopes = list(arrived(line.socket, patience_s))
+            for envelope in envelopes:
+                self._take(pid, line, envelope)
+            if not envelopes:
                 return
-            try:
-                self._take(line, decode(line.socket.recv_multipart(flags=zmq.NOBLOCK)))
-            except ProtocolError:
-                continue  # an unreadable answer counts as none: its rows fall back to the own critic
 
-    def _take(self, line: _Line, envelope: Envelope) -> None:
-        reply = envelope.message
-        rows = line.in_flight.pop(envelope.id, None)
-        if rows is None:
-            self.counts.late += 1
-            line.misses = min(line.misses, MISSES_UNTIL_NO_WAIT - 1)  # it answers again: wait for it once more
+    def _take(self, pid: str, line: _Line, envelope: Envelope) -> None:
+        parts = line.in_flight.pop(envelope.id, None)
+        if parts is None:
+            line.misses = min(line.misses, MISSES_UNTIL_PROBING - 1)  # it answers again: give it another chance
             return
+        line.misses = 0
+        rows = sum(len(part.questions) for part in parts)
+        values = self._values(envelope, rows)
+        version = envelope.message.version if isinstance(envelope.message, ValueReply) else 0
+        begin = 0
+        for part in parts:
+            end = begin + len(part.questions)
+            part.batch.outstanding -= len(part.questions)
+            if values is not None:
+                part.batch.answers.append((PeerValues(part.questions.rows, values[begin:end]), pid, version))
+            begin = end
+
+    def _values(self, envelope: Envelope, rows: int) -> Values | None:
+        """The values in an answer; None if it is none, or another than what was asked for."""
         values = envelope.arrays.get("value")
-        if not isinstance(reply, ValueReply) or values is None or values.shape != (len(rows), *self._value_shape):
-            return
-        if values.dtype != np.float32 or not np.isfinite(values).all():
-            return
-        self.counts.lag_total += max(0, line.peer.version - reply.version) * len(rows)
-        self._answers.append((rows, values))
+        if not isinstance(envelope.message, ValueReply) or values is None:
+            return None
+        right = values.shape == (rows, *self._value_shape) and values.dtype == np.float32
+        return values if right and np.isfinite(values).all() else None
+
+    def _close(self, gathered: _Batch) -> PeerValues:
+        gathered.closed = True
+        found = PeerValues.joined([answers for answers, _, _ in gathered.answers])
+        self.counts.answered += len(found.rows)
+        self.counts.late += gathered.outstanding
+        self.counts.own_used += gathered.asked - len(found.rows)
+        for answers, pid, version in gathered.answers:
+            line = self._connections.lines.get(pid)
+            if line is not None:
+                self.counts.lag_total += max(0, line.peer.version - version) * len(answers.rows)
+        if gathered.outstanding:
+            self._forget_missed()
+        return found
+
+    def _forget_missed(self) -> None:
+        for line in self._connections.lines.values():
+            missed = [n for n, parts in line.in_flight.items() if all(part.batch.closed for part in parts)]
+            for number in missed:
+                del line.in_flight[number]
+            line.misses += len(missed)

@@ -40,7 +40,6 @@ class Granted(Message, frozen=True, tag="granted"):
     role: Role
     pid: str
     epoch: int
-    boot_id: str
     lease_s: float
     seed: int
     task: dict[str, Any]
@@ -48,6 +47,7 @@ class Granted(Message, frozen=True, tag="granted"):
     decomposition: dict[str, Any]
     rho: list[float]
     version: int = 0
+    run_id: str = ""
 
 
 class Refused(Message, frozen=True, tag="refused"):
@@ -60,7 +60,7 @@ class Refused(Message, frozen=True, tag="refused"):
 
 
 class Intervention(Message, frozen=True):
-    """Counts of critic values asked from peers, in rows, since the lease began."""
+    """Counts of critic values asked from peers, in rows, since the lease began (learners.peers says what of)."""
 
     asked: int = 0
     answered: int = 0
@@ -165,12 +165,6 @@ class Goodbye(Message, frozen=True, tag="goodbye"):
     reason: str
 
 
-class Shutdown(Message, frozen=True, tag="shutdown"):
-    """Launcher -> coordinator: end the run cleanly now."""
-
-    reason: str
-
-
 class StatusRequest(Message, frozen=True, tag="status_request"):
     """Anyone -> coordinator: how is the run? Changes nothing."""
 
@@ -189,6 +183,19 @@ class ValueRequest(Message, frozen=True, tag="value_request"):
 
 class ValueReply(Message, frozen=True, tag="value_reply"):
     """Peer -> learner. arrays: ``value`` float32 [k]."""
+
+    version: int
+
+
+class WeightsRequest(Message, frozen=True, tag="weights_request"):
+    """Learner -> peer: the networks that value requests are answered from, if newer than ``newer_than``; -1: any."""
+
+    pid: str
+    newer_than: int
+
+
+class WeightsReply(Message, frozen=True, tag="weights_reply"):
+    """Peer -> learner. arrays: ``weights.*`` of that version; none if it is not newer than what was named."""
 
     version: int
 
@@ -242,10 +249,9 @@ class EventLine(Message, frozen=True):
 
 
 class Status(Message, frozen=True, tag="status"):
-    """Coordinator -> who asked. ``clock`` is in seconds of Unix time, ``boot_id`` names this start."""
+    """Coordinator -> who asked. ``clock`` is in seconds of Unix time."""
 
     program: str
-    boot_id: str
     clock: float
     task: str
     seed: int
@@ -299,12 +305,13 @@ KINDS: dict[str, type[Message]] = {
         EvaluationJob,
         EvaluationReport,
         Goodbye,
-        Shutdown,
         StatusRequest,
         Status,
         Failure,
         ValueRequest,
         ValueReply,
+        WeightsRequest,
+        WeightsReply,
         DashboardState,
     )
 }

@@ -1,0 +1,83 @@
+"""When the coordinator's state goes to disk: counts every second, checkpoints every few minutes and at the end."""
+
+from __future__ import annotations
+
+import time
+from pathlib import Path
+
+from coordinator.saved_state import load_saved_state, raise_counts, saved_counts, saved_state
+from coordinator.state import CoordinatorState
+from t4nmtd_dist.runs.background import BackgroundWriter
+from t4nmtd_dist.runs.checkpoints import Warn, delete_checkpoints, newest_checkpoint
+from t4nmtd_dist.runs.resuming import COORDINATOR, read_counts, write_counts
+from t4nmtd_dist.runs.state_tree import State
+
+COUNTS_EVERY_S = 1.0
+TROUBLE_S = 60.0
+
+
+class StateKeeper:
+    """Keeps what a resume needs of the coordinator.
+
+    Args:
+        state: the coordinator's state.
+        checkpoints: folder of the run's checkpoints.
+        every_s: seconds between two checkpoints.
+        tell: called with a line about every checkpoint, from another thread, too.
+    """
+
+    def __init__(self, state: CoordinatorState, checkpoints: Path, every_s: float, tell: Warn) -> None:
+        self._state, self._checkpoints, self._every_s = state, checkpoints, every_s
+        self._tell = tell
+        self._writer = BackgroundWriter(tell)
+        self._counts_due = 0.0
+        self._due = time.monotonic() + every_s
+
+    @property
+    def _about(self) -> State:
+        return {"run_id": self._state.settings.run_id, "place": COORDINATOR}
+
+    def turn(self) -> None:
+        """Write what is due."""
+        now = time.monotonic()
+        if now >= self._counts_due:
+            self._counts_due = now + (COUNTS_EVERY_S if self._write_counts() else TROUBLE_S)
+        if now >= self._due and not self._writer.busy:
+            self._due = now + self._every_s
+            self._writer.begin(self._checkpoints / COORDINATOR, self._about, saved_state(self._state))
+
+    def _write_counts(self) -> bool:
+        try:
+            write_counts(self._checkpoints, self._about | saved_counts(self._state))
+        except OSError as error:
+            self._tell(f"cannot write counts to {self._checkpoints}: {error.strerror}")
+            return False
+        return True
+
+    def finish(self) -> None:
+        """Write everything a last time; a solved run needs no checkpoints any more."""
+        self._writer.wait()
+        self._write_counts()
+        if self._state.outcome == "solved":
+            delete_checkpoints(self._checkpoints / COORDINATOR)
+        else:
+            self._writer.write(self._checkpoints / COORDINATOR, self._about, saved_state(self._state))
+
+
+def go_on(state: CoordinatorState, checkpoints: Path, warn: Warn) -> str:
+    """Let a fresh coordinator go on with a stopped run; what it goes on from, in words.
+
+    Args:
+        state: of the same task, seed and run.
+        checkpoints: folder of the run's checkpoints.
+        warn: told of damaged checkpoints.
+    """
+    about = {"run_id": state.settings.run_id, "place": COORDINATOR}
+    found = newest_checkpoint(checkpoints / COORDINATOR, lambda told: told == about, warn)
+    if found is not None:
+        load_saved_state(state, found.state)
+    counts = read_counts(checkpoints)
+    if counts is not None and counts.get("run_id") == state.settings.run_id:
+        raise_counts(state, counts)
+    source = "no checkpoint: it had not kept one yet" if found is None else f"checkpoint {found.path.name}"
+    return f"resumed after {state.interactions} interactions from {source}"

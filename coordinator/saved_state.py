@@ -1,0 +1,65 @@
+"""The coordinator's state for checkpoints, and the few counts that are written down much more often."""
+
+from __future__ import annotations
+
+import msgspec
+
+from coordinator.state import CoordinatorState
+from t4nmtd_dist.runs.state_tree import State
+from t4nmtd_dist.wire.messages import EventLine, LearnerStats
+
+
+def saved_state(state: CoordinatorState) -> State:
+    """Everything but leases and an evaluation under way, of which a resumed run has new ones.
+
+    Arrays of weights are the very ones that are held; they are replaced, never changed.
+    """
+    return {
+        "high_level": state.high_level.entries(),
+        "rng": state.rng.bit_generator.state,
+        "records": {pid: record.state() for pid, record in state.records.items()},
+        "evaluations": state.evaluations.state(),
+        "events": msgspec.to_builtins(list(state.events)),
+        "snapshot": state.snapshot,
+        "counts": saved_counts(state),
+    }
+
+
+def load_saved_state(state: CoordinatorState, saved: State) -> None:
+    """Let a fresh coordinator of the same run go on from a ``saved_state``."""
+    state.high_level.load((q, pid, value) for q, pid, value in saved["high_level"])
+    state.rng.bit_generator.state = saved["rng"]
+    for pid, record in state.records.items():
+        record.load_state(saved["records"][pid])
+    state.evaluations.load_state(saved["evaluations"])
+    state.events.extend(msgspec.convert(saved["events"], list[EventLine]))
+    state.snapshot = saved["snapshot"]
+    _raise_clock(state, saved["counts"])
+
+
+def saved_counts(state: CoordinatorState) -> State:
+    """What must not be lost between two checkpoints: time, epochs, and what was spent."""
+    return {
+        "elapsed_s": state.elapsed_s,
+        "epochs": state.leases.epochs() | state.evaluator_lease.epochs(),
+        "evaluated": len(state.evaluations.history),
+        "totals": {pid: msgspec.to_builtins(record.total) for pid, record in state.records.items()},
+    }
+
+
+def raise_counts(state: CoordinatorState, counts: State) -> None:
+    """Count also what was spent after the checkpoint that was loaded, if there was one.
+
+    Evaluations after it are not known, so none before it counts towards those in a row.
+    """
+    for pid, record in state.records.items():
+        record.raise_counts(msgspec.convert(counts["totals"][pid], LearnerStats))
+    if counts["evaluated"] > len(state.evaluations.history):
+        state.evaluations.begin_row()
+    _raise_clock(state, counts)
+
+
+def _raise_clock(state: CoordinatorState, counts: State) -> None:
+    state.earlier_s = max(state.earlier_s, counts["elapsed_s"])
+    state.leases.raise_epochs(counts["epochs"])
+    state.evaluator_lease.raise_epochs(counts["epochs"])

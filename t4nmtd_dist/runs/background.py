@@ -1,0 +1,52 @@
+"""Writing checkpoints beside the work: one at a time, in a thread."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Mapping
+from concurrent.futures import Future, ThreadPoolExecutor
+from pathlib import Path
+from typing import Any
+
+from t4nmtd_dist.errors import RunError
+from t4nmtd_dist.runs.checkpoints import Warn, write_checkpoint
+
+
+class BackgroundWriter:
+    """Writes checkpoints, and tells of those that cannot be written: a full disk ends no training.
+
+    Args:
+        tell: called with a line about every checkpoint, and about trouble; from another thread, too.
+    """
+
+    def __init__(self, tell: Warn) -> None:
+        self._tell = tell
+        self._executor = ThreadPoolExecutor(1, "checkpoints")
+        self._pending: Future[None] | None = None
+
+    @property
+    def busy(self) -> bool:
+        """Whether a checkpoint is still being written."""
+        return self._pending is not None and not self._pending.done()
+
+    def begin(self, folder: Path, about: Mapping[str, Any], state: Mapping[str, Any]) -> None:
+        """Write a checkpoint beside the work; its arrays must not change from now on."""
+        self.wait()
+        self._pending = self._executor.submit(self.write, folder, about, state)
+
+    def wait(self) -> None:
+        """Wait until none is being written."""
+        if self._pending is not None:
+            self._pending.result()
+            self._pending = None
+
+    def write(self, folder: Path, about: Mapping[str, Any], state: Mapping[str, Any]) -> None:
+        """Write a checkpoint now."""
+        began = time.monotonic()
+        try:
+            path = write_checkpoint(folder, about, state)
+        except RunError as error:
+            self._tell(f"{error}; without it a resume goes back to the one before")
+            return
+        size = sum(file.stat().st_size for file in path.iterdir())
+        self._tell(f"checkpoint {path} written in {time.monotonic() - began:.2f} s, {size / 1e6:.1f} MB")

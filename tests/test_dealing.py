@@ -1,0 +1,53 @@
+"""Several sub-tasks in one worker: how they are dealt (`t4nmtd train --workers N`), and that they call each other."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from small_sac import PIDS
+from small_tasks import small_learner
+
+from t4nmtd_dist.errors import ConfigError
+from t4nmtd_dist.launch.local import dealt
+from t4nmtd_dist.learners.peers import LocalPeers, Questions
+
+
+@given(st.integers(1, 30).flatmap(lambda count: st.tuples(st.just(count), st.integers(1, count))))
+def test_sub_tasks_are_dealt_evenly_and_each_once(sizes: tuple[int, int]) -> None:
+    count, workers = sizes
+    pids = [f"p{number}" for number in range(count)]
+    hands = dealt(pids, workers)
+    assert len(hands) == workers
+    assert sorted(pid for hand in hands.values() for pid in hand) == sorted(pids)
+    assert {len(hand) for hand in hands.values()} <= {count // workers, -(-count // workers)}
+
+
+def test_by_default_every_sub_task_has_a_worker() -> None:
+    assert dealt(["g", "~p1"], None) == {"g": ["g"], "not-p1": ["~p1"]}
+
+
+@pytest.mark.parametrize("workers", [-1, 0, 5])
+def test_a_number_of_workers_that_cannot_be_is_refused(workers: int) -> None:
+    with pytest.raises(ConfigError, match=f"--workers {workers}: expected 1 to 4"):
+        dealt(PIDS, workers)
+
+
+def test_peers_in_one_worker_are_called_directly() -> None:
+    learners = {pid: small_learner(pid) for pid in ("g", "p1")}
+    critics = {pid: learner.critic_values for pid, learner in learners.items()}
+    peers, pids = LocalPeers(critics), ("g", "p1", "p9") * 3
+    size = learners["g"].attempts.observations.shape[1]
+    observations = np.random.default_rng(0).normal(size=(9, size)).astype(np.float32)
+    peers.ask(1, Questions(np.arange(9), pids, observations, np.zeros(9, np.int32)))
+    peers.ask(2, Questions(np.array([4]), ("g",), observations[:1], np.zeros(1, np.int32)))
+    found = peers.gather(1)
+    assert sorted(found.rows.tolist()) == [row for row, pid in enumerate(pids) if pid != "p9"]
+    for row, value in zip(found.rows, found.values, strict=True):
+        expected = critics[pids[row]](observations[row : row + 1], np.zeros(1, np.int32))[0]
+        assert value == pytest.approx(expected, abs=1e-6)
+    assert (peers.counts.asked, peers.counts.answered, peers.counts.own_used) == (10, 6, 3)
+    del critics["g"]  # its lease is over
+    assert len(peers.gather(2).rows) == 0
+    assert (peers.counts.answered, peers.counts.own_used) == (6, 4)
