@@ -19,6 +19,7 @@ from t4nmtd_dist.errors import PolicyError
 from t4nmtd_dist.learners import products
 from t4nmtd_dist.learners.flat_adam import FlatAdam
 from t4nmtd_dist.learners.sac_backward import chosen_input_gradient, weight_gradients
+from t4nmtd_dist.learners.sac_interface import PeerSoftValues, SACBatch, SACSettings
 from t4nmtd_dist.learners.sac_networks import (
     LAYER_NORM_EPSILON,
     Activations,
@@ -29,7 +30,7 @@ from t4nmtd_dist.learners.sac_networks import (
     flat_length,
     layers_of,
 )
-from t4nmtd_dist.learners.sac_update import PeerSoftValues, SACBatch, SACSettings, SACUpdater
+from t4nmtd_dist.learners.sac_update import SACUpdater
 from t4nmtd_dist.learners.squashed_gaussian import output_gradient, squashed_sample
 
 torch.set_num_threads(1)  # a second thread waits for the other tests' processes

@@ -10,6 +10,7 @@ from typing import Annotated
 
 import tyro
 
+from t4nmtd_dist.devices import Device
 from t4nmtd_dist.wire.endpoints import DEFAULT_CONTROL
 
 
@@ -21,6 +22,8 @@ class WorkerCommand:
     """Sub-task to learn, such as p1; may be repeated. Without it: the next free one."""
     evaluate: bool = False
     """Evaluate the composed policy instead of learning."""
+    device: Device = "cpu"
+    """Where to train; with networks as small as these the CPU is expected to be faster."""
     connect: str = DEFAULT_CONTROL
     """The coordinator's endpoint."""
     wait: float = 60.0
@@ -56,6 +59,7 @@ def main() -> None:
 def run(command: WorkerCommand) -> int:
     """Run a worker; the exit code."""
     os.environ.setdefault("OMP_NUM_THREADS", "1")  # before torch is imported
+    from t4nmtd_dist.devices import check_device
     from t4nmtd_dist.errors import ConfigError, T4NMTDError
     from t4nmtd_dist.launch.lifeline import end_with_parent
     from t4nmtd_dist.wire.endpoints import check_endpoint
@@ -67,6 +71,10 @@ def run(command: WorkerCommand) -> int:
         if command.evaluate and command.pid:
             print("t4nmtd-worker: --evaluate learns nothing, so it takes no --pid", file=sys.stderr)
             return 2
+        if command.evaluate and command.device != "cpu":
+            print("t4nmtd-worker: --evaluate plays on the CPU, so it takes no --device", file=sys.stderr)
+            return 2
+        check_device(command.device)
         if not command.checkpoint_every > 0:
             raise ConfigError(f"--checkpoint-every {command.checkpoint_every}: expected seconds above 0")
         return _work(command)
@@ -93,6 +101,7 @@ def _work(command: WorkerCommand) -> int:
         insecure=command.insecure,
         checkpoints=command.checkpoints,
         checkpoint_every_s=command.checkpoint_every,
+        device=command.device,
     )
     return Worker(options).run()
 

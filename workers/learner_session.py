@@ -17,6 +17,7 @@ from t4nmtd_dist.automata.dfa import DFA
 from t4nmtd_dist.compiled import CompiledTask
 from t4nmtd_dist.config import task_config
 from t4nmtd_dist.decomposition import Decomposition
+from t4nmtd_dist.devices import Device
 from t4nmtd_dist.initial_state_buffer import InitialStateBuffer
 from t4nmtd_dist.learners.attempts import Progress
 from t4nmtd_dist.learners.build import build_learner, subtask_seed
@@ -47,15 +48,16 @@ class LearnerSession:
     Args:
         granted: the lease.
         arrays: weights that came with it, if the sub-task was learned before.
+        device: where the learner's networks are.
     """
 
-    def __init__(self, granted: Granted, arrays: Mapping[str, NDArray[Any]]) -> None:
+    def __init__(self, granted: Granted, arrays: Mapping[str, NDArray[Any]], *, device: Device = "cpu") -> None:
         task = compiled_from(granted)
         self.pid, self.epoch = granted.pid, granted.epoch
         self.buffer = InitialStateBuffer(task.config.learner.start_capacity)
         self.high_level = task.q_table()
         seed = subtask_seed(granted.seed, granted.pid, granted.epoch)
-        self.learner = build_learner(task, granted.pid, self.buffer, self.high_level, seed=seed)
+        self.learner = build_learner(task, granted.pid, self.buffer, self.high_level, seed=seed, device=device)
         self.peers: dict[str, Peer] = {}
         self.intervention = task.config.learner.intervention
         weights = without_prefix("weights.", arrays)

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 from numpy.typing import NDArray
 
+from t4nmtd_dist.devices import Device
 from t4nmtd_dist.wire.messages import Granted, LearnerStats, Role, Sync
 
 if TYPE_CHECKING:
@@ -17,7 +18,7 @@ if TYPE_CHECKING:
     from workers.learner_session import LearnerSession
 
 HEAVY: dict[Role, tuple[str, ...]] = {
-    "learner": ("workers.learner_session", "torch._dynamo"),  # the first optimiser would import the latter
+    "learner": ("workers.learner_session",),
     "evaluator": ("workers.evaluation_session",),
 }
 
@@ -41,14 +42,14 @@ class WaitingLease:
             stats=LearnerStats(),
         )
 
-    def learn(self) -> LearnerSession:
-        """The learner of this lease; call once loaded."""
+    def learn(self, device: Device) -> LearnerSession:
+        """The learner of this lease, on a device; call once loaded."""
         import torch
 
         from workers.learner_session import LearnerSession
 
         torch.set_num_threads(1)
-        return LearnerSession(self.granted, self.arrays)
+        return LearnerSession(self.granted, self.arrays, device=device)
 
     def evaluate(self) -> EvaluationSession:
         """The evaluator of this lease; call once loaded."""

@@ -17,6 +17,7 @@ from typing import TYPE_CHECKING, Any
 
 from numpy.typing import NDArray
 
+from t4nmtd_dist.devices import Device
 from t4nmtd_dist.errors import ProtocolError
 from t4nmtd_dist.learners.peers import CriticValues, LocalPeers, MixedPeers, NoPeers, PeerCritics
 from t4nmtd_dist.wire.addresses import critic_endpoints
@@ -73,6 +74,7 @@ class WorkerOptions:
     insecure: bool = False
     checkpoints: Path | None = None
     checkpoint_every_s: float = 300.0
+    device: Device = "cpu"
 
 
 def default_instance() -> str:
@@ -290,7 +292,7 @@ class Worker:
             if lease.granted.role == "evaluator":
                 self._evaluation = lease.evaluate()
                 continue
-            session = lease.learn()
+            session = lease.learn(self._options.device)
             if self._keeper is not None:
                 self._keeper.go_on(session, lease.granted, lease.arrays)
             self._sessions[pid] = session

@@ -10,6 +10,7 @@ import tyro
 
 from t4nmtd_dist.cli.key_commands import Keys
 from t4nmtd_dist.cli.options import RunOptions
+from t4nmtd_dist.devices import Device
 from t4nmtd_dist.wire.endpoints import CONTROL_PORT, DEFAULT_CONTROL, DEFAULT_STATE, STATE_PORT, complete_endpoint
 
 
@@ -20,11 +21,13 @@ class Train(RunOptions):
     no_dashboard: bool = False
     """Show nothing until the end."""
     serial: bool = False
-    """One process, in lock-step, bit-reproducible from the seed; for debugging."""
+    """One process, in lock-step, bit-reproducible from the seed (on the CPU); for debugging."""
     keys: Path | None = None
     """Folder made by `t4nmtd keys new`: keeps other users of this machine out; not needed otherwise."""
     workers: int | None = None
     """How many processes learn, with the sub-tasks dealt to them in turn; by default one per sub-task."""
+    device: Device = "cpu"
+    """Where they train; with networks as small as these the CPU is expected to be faster."""
 
     def run(self) -> int:
         """Train."""
@@ -32,10 +35,11 @@ class Train(RunOptions):
         from t4nmtd_dist.errors import ConfigError
 
         if not self.serial:
-            return train(self, dashboard=not self.no_dashboard, keys=self.keys, workers=self.workers)
+            shown = not self.no_dashboard
+            return train(self, dashboard=shown, keys=self.keys, workers=self.workers, device=self.device)
         if self.workers is not None:
             raise ConfigError("--serial runs everything in one process, so it takes no --workers")
-        return train_serial(self)
+        return train_serial(self, device=self.device)
 
 
 @dataclass(frozen=True)

@@ -11,6 +11,7 @@ from pathlib import Path
 from t4nmtd_dist.cli.options import RunOptions
 from t4nmtd_dist.cli.plan import RunPlan, plan_run
 from t4nmtd_dist.compiled import CompiledTask, compile_task
+from t4nmtd_dist.devices import Device, check_device
 from t4nmtd_dist.environments.preparation import prepared, slowness
 from t4nmtd_dist.errors import RunError
 from t4nmtd_dist.launch.local import LocalProcesses, dealt
@@ -35,7 +36,14 @@ class _Interrupted:
         self.seen = True
 
 
-def train(options: RunOptions, *, dashboard: bool, keys: Path | None = None, workers: int | None = None) -> int:
+def train(
+    options: RunOptions,
+    *,
+    dashboard: bool,
+    keys: Path | None = None,
+    workers: int | None = None,
+    device: Device = "cpu",
+) -> int:
     """Train with local processes; the exit code: 0 solved, 3 budget spent, 130 interrupted.
 
     Args:
@@ -43,12 +51,14 @@ def train(options: RunOptions, *, dashboard: bool, keys: Path | None = None, wor
         dashboard: whether to show it.
         keys: folder of keys, for a machine that is shared with others.
         workers: how many processes learn; None for one per sub-task.
+        device: where they train.
 
     Raises:
-        ConfigError: if the sub-tasks cannot be dealt to so many workers.
+        ConfigError: if the sub-tasks cannot be dealt to so many workers, or there is no such device.
         KeyFileError: if the keys cannot be used.
         RunError: if the coordinator or a worker cannot go on.
     """
+    check_device(device)
     plan = plan_run(options)
     if plan.solved:
         print(plan.solved)
@@ -66,7 +76,8 @@ def train(options: RunOptions, *, dashboard: bool, keys: Path | None = None, wor
         kept = ["--checkpoints", str(run.checkpoints), "--checkpoint-every", str(options.checkpoint_every)]
         for name, hand in hands.items():
             places = [flag for pid in hand for flag in ("--pid", pid)]
-            processes.start_worker(name, [*places, "--connect", control, *kept, *secured])
+            where = ["--connect", control, "--device", device]
+            processes.start_worker(name, [*places, *where, *kept, *secured])
         processes.start_worker("evaluator", ["--evaluate", "--connect", control, *secured])
         _watch(processes, publish, interrupted, dashboard, own)
         if interrupted.seen:
@@ -135,9 +146,10 @@ def _report(directory: Path) -> None:
     )
 
 
-def train_serial(options: RunOptions) -> int:
-    """Train in one process, in lock-step; the exit code as of ``train``."""
+def train_serial(options: RunOptions, *, device: Device = "cpu") -> int:
+    """Train in one process, in lock-step; the exit code, and what is raised, as of ``train``."""
     os.environ.setdefault("OMP_NUM_THREADS", "1")
+    check_device(device)
     from coordinator.recorder import Recorder
     from coordinator.state import RunSettings
     from t4nmtd_dist.launch.serial import SerialRun
@@ -153,7 +165,7 @@ def train_serial(options: RunOptions) -> int:
     budget, run_id = plan.config.max_interactions, plan.identity.run_id
     settings = RunSettings(plan.seed, budget, str(run_dir.path), lease_s=float("inf"), run_id=run_id)
     interrupted = _Interrupted()
-    run = SerialRun(task, settings, time.monotonic)
+    run = SerialRun(task, settings, time.monotonic, device)
     keeper = SerialKeeper(run, run_dir, options.checkpoint_every)
     if plan.resumes:
         keeper.go_on()

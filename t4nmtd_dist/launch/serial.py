@@ -14,6 +14,7 @@ from coordinator.events import Action, Event, Finish, Interrupted, Received, Rec
 from coordinator.saved_state import load_saved_state, saved_state
 from coordinator.state import CoordinatorState, RunSettings
 from t4nmtd_dist.compiled import CompiledTask
+from t4nmtd_dist.devices import Device
 from t4nmtd_dist.errors import LeaseError
 from t4nmtd_dist.learners.peers import InterventionCounts, LocalPeers, NoPeers, PeerCritics
 from t4nmtd_dist.runs.state_tree import State
@@ -31,11 +32,13 @@ class SerialRun:
         task: the compiled task.
         settings: seed and budget.
         clock: seconds; only shown, never used for decisions.
+        device: where all networks are.
     """
 
     task: CompiledTask
     settings: RunSettings
     clock: Callable[[], float]
+    device: Device = "cpu"
 
     def __post_init__(self) -> None:
         torch.set_num_threads(1)
@@ -48,7 +51,7 @@ class SerialRun:
 
     def _begin(self, pid: str) -> LearnerSession:
         granted, envelope = self._claim(Claim(role="learner", instance="serial", pid=pid))
-        return LearnerSession(granted, envelope.arrays)
+        return LearnerSession(granted, envelope.arrays, device=self.device)
 
     def _claim(self, claim: Claim) -> tuple[Granted, Envelope]:
         for envelope in self._ask(claim, {}):

@@ -7,6 +7,7 @@ import zlib
 import numpy as np
 
 from t4nmtd_dist.compiled import CompiledTask
+from t4nmtd_dist.devices import Device
 from t4nmtd_dist.environments.action_spaces import action_bounds, action_count
 from t4nmtd_dist.high_level import QTable
 from t4nmtd_dist.initial_state_buffer import InitialStateBuffer
@@ -24,9 +25,15 @@ def subtask_seed(seed: int, pid: str, epoch: int) -> int:
 
 
 def build_learner(
-    task: CompiledTask, pid: str, buffer: InitialStateBuffer, high_level: QTable, *, seed: int
+    task: CompiledTask,
+    pid: str,
+    buffer: InitialStateBuffer,
+    high_level: QTable,
+    *,
+    seed: int,
+    device: Device = "cpu",
 ) -> Learner:
-    """A learner for sub-task ``pid`` in worlds of its own.
+    """A learner for sub-task ``pid`` in worlds of its own, with its networks on ``device``.
 
     Raises:
         WorldError: if the environment cannot be opened, or its spaces or propositions do not fit.
@@ -49,13 +56,16 @@ def build_learner(
         actions = action_count(world.action_space, config.environment.id)
         states = task.dfa.states
         return PPOLearner(
-            pid, attempts, settings, config.ppo, high_level, dfa_states=states, actions=actions, seed=seed
-        )
+            pid, attempts, settings, config.ppo, high_level,
+            dfa_states=states, actions=actions, seed=seed, device=device,
+        )  # fmt: skip
     bounds = action_bounds(world.action_space, config.environment.id)
     from t4nmtd_dist.learners.sac import SACLearner
 
     delta = task.dfa.delta
-    return SACLearner(pid, attempts, tables, delta, settings, config.sac, high_level, bounds=bounds, seed=seed)
+    return SACLearner(
+        pid, attempts, tables, delta, settings, config.sac, high_level, bounds=bounds, seed=seed, device=device
+    )
 
 
 def _attempts(

@@ -14,8 +14,10 @@ from numpy.typing import NDArray
 from torch import Tensor, nn
 
 from t4nmtd_dist.config import LearnerConfig, PPOConfig
+from t4nmtd_dist.devices import Device
 from t4nmtd_dist.high_level import QTable
 from t4nmtd_dist.learners.attempts import Attempts, Mask
+from t4nmtd_dist.learners.flat_adam import FlatAdam
 from t4nmtd_dist.learners.networks import Weights, check_finite, load_weights, mlp, product_state, weights_of
 from t4nmtd_dist.learners.peers import PeerCritics, Questions, Values
 from t4nmtd_dist.learners.value_request import read_value_request
@@ -95,7 +97,7 @@ def generalised_advantages(
 
 
 class PublishedCritic:
-    """A copy of a critic that other threads may evaluate while the original is trained.
+    """A copy of a critic on the CPU, which other threads may evaluate while the original is trained.
 
     Args:
         critic: the network to copy.
@@ -104,7 +106,7 @@ class PublishedCritic:
     """
 
     def __init__(self, critic: nn.Module, observation_size: int, dfa_states: int) -> None:
-        self._copy = copy.deepcopy(critic)
+        self._copy = copy.deepcopy(critic).cpu()
         self._observation_size, self._dfa_states = observation_size, dfa_states
         self._version = 0
         self._lock = threading.Lock()
@@ -160,6 +162,7 @@ class PPOLearner:
         dfa_states: |Q|, the width of the one-hot.
         actions: number of actions.
         seed: seeds networks and sampling.
+        device: where the networks are; roll-outs are collected on the CPU.
     """
 
     def __init__(
@@ -173,6 +176,7 @@ class PPOLearner:
         dfa_states: int,
         actions: int,
         seed: int,
+        device: Device = "cpu",
     ) -> None:
         self.pid, self.attempts, self.high_level = pid, attempts, high_level
         self._config, self._ppo, self._dfa_states = config, ppo, dfa_states
@@ -180,8 +184,9 @@ class PPOLearner:
         count, observation_size = attempts.observations.shape
         with torch.random.fork_rng(devices=[]):
             torch.manual_seed(seed)
-            self.network = ActorCritic(observation_size + dfa_states, actions, config.hidden)
-        self._optimiser = torch.optim.Adam(self.network.parameters(), lr=ppo.learning_rate, eps=1e-5, fused=True)
+            self.network = ActorCritic(observation_size + dfa_states, actions, config.hidden).to(device)
+        self._device = device
+        self._optimiser = FlatAdam.of_module(self.network, ppo.learning_rate, epsilon=1e-5)
         self._rollout = Rollout.empty(ppo.rollout, count, observation_size + dfa_states, observation_size)
         self.published = PublishedCritic(self.network.critic, observation_size, dfa_states)
         self.value_shape: tuple[int, ...] = ()
@@ -204,7 +209,8 @@ class PPOLearner:
     @torch.no_grad()
     def critic_values(self, observations: Observations, q: NDArray[np.int32]) -> Values:
         """V(s, q) of product states, float32 [k]: what peers ask for."""
-        values: Values = self.network.value(product_state(observations, q, self._dfa_states)).numpy()
+        states = product_state(observations, q, self._dfa_states).to(self._device)
+        values: Values = self.network.value(states).cpu().numpy()
         return values
 
     def replica(self) -> PublishedCritic:
@@ -224,10 +230,9 @@ class PPOLearner:
 
     def state(self) -> State:
         """See ``Learner.state``; a roll-out is over between two iterations, so it is no part."""
-        moments = self._optimiser.state_dict()["state"]
         return {
             "weights": self.weights(),
-            "optimiser": {str(i): {name: x.numpy() for name, x in each.items()} for i, each in moments.items()},
+            "optimiser": self._optimiser.state(),
             "attempts": self.attempts.state(),
             "rng": self._rng.bit_generator.state,
             "gradient_steps": self.gradient_steps,
@@ -238,11 +243,7 @@ class PPOLearner:
     def load_state(self, state: State) -> None:
         """See ``Learner.load_state``."""
         self.load(state["weights"], state["version"])
-        moments = {
-            int(i): {name: torch.from_numpy(np.array(x)) for name, x in each.items()}
-            for i, each in state["optimiser"].items()
-        }
-        self._optimiser.load_state_dict({**self._optimiser.state_dict(), "state": moments})
+        self._optimiser.load_state(state["optimiser"])
         self.attempts.load_state(state["attempts"])
         self._rng.bit_generator.state = state["rng"]
         self.gradient_steps = state["gradient_steps"]
@@ -277,7 +278,7 @@ class PPOLearner:
 
     def _act(self, states: Tensor) -> tuple[NDArray[np.int64], Floats]:
         """Sampled actions [N] and their log-probabilities [N]; sampling by the Gumbel trick."""
-        log_probs = torch.log_softmax(self.network.actor(states), -1).numpy()
+        log_probs = torch.log_softmax(self.network.actor(states.to(self._device)), -1).cpu().numpy()
         actions = np.argmax(log_probs + self._rng.gumbel(size=log_probs.shape), axis=1)
         return actions, log_probs[np.arange(len(actions)), actions]
 
@@ -313,7 +314,7 @@ class PPOLearner:
         rollout, attempts = self._rollout, self.attempts
         last = product_state(attempts.observations, attempts.q, self._dfa_states)
         flat = torch.from_numpy(rollout.states.reshape(-1, rollout.states.shape[-1]))
-        own = self.network.value(torch.cat([flat, last])).numpy()
+        own = self.network.value(torch.cat([flat, last]).to(self._device)).cpu().numpy()
         values = own[: len(flat)].reshape(rollout.rewards.shape)
         next_values = np.concatenate([values[1:], own[None, len(flat) :]])
         crossed = rollout.boundary
@@ -332,9 +333,10 @@ class PPOLearner:
         actions = torch.from_numpy(rollout.actions.reshape(-1))
         log_probs = torch.from_numpy(rollout.log_probs.reshape(-1))
         normal = (advantages - advantages.mean()) / max(float(advantages.std()), ppo.advantage_floor)
-        columns = (states, actions, log_probs, torch.from_numpy(normal), torch.from_numpy(returns))
+        columns = [states, actions, log_probs, torch.from_numpy(normal), torch.from_numpy(returns)]
+        columns = [column.to(self._device) for column in columns]
         for _ in range(ppo.epochs):
-            order = torch.from_numpy(self._rng.permutation(len(advantages)))
+            order = torch.from_numpy(self._rng.permutation(len(advantages))).to(self._device)
             for rows in torch.split(order, ppo.minibatch):
                 self._gradient_step(*(column[rows] for column in columns))
 
@@ -350,7 +352,7 @@ class PPOLearner:
         entropy = -(all_log_probs.exp() * all_log_probs).sum(-1).mean()
         value_loss = (self.network.value(states) - returns).square().mean()
         loss = policy_loss + ppo.value_coefficient * value_loss - self._entropy_coefficient() * entropy
-        self._optimiser.zero_grad(set_to_none=True)
+        self._optimiser.gradient.zero_()
         loss.backward()  # type: ignore[no-untyped-call]
         nn.utils.clip_grad_norm_(self.network.parameters(), ppo.max_grad_norm)
         self._optimiser.step()

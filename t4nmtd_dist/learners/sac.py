@@ -14,6 +14,7 @@ import torch
 from numpy.typing import NDArray
 
 from t4nmtd_dist.config import LearnerConfig, SACConfig
+from t4nmtd_dist.devices import Device
 from t4nmtd_dist.environments.action_spaces import Bounds
 from t4nmtd_dist.high_level import QTable
 from t4nmtd_dist.learners.actors import scaled
@@ -22,8 +23,10 @@ from t4nmtd_dist.learners.experience import Experience, Returns
 from t4nmtd_dist.learners.exploration import HeldActionExploration, SinusoidExploration
 from t4nmtd_dist.learners.networks import Weights
 from t4nmtd_dist.learners.peers import PeerCritics, Questions, RowNumbers, Values
+from t4nmtd_dist.learners.sac_interface import PeerSoftValues, SACBatch, SACSettings
 from t4nmtd_dist.learners.sac_published import PublishedSoftCritic
-from t4nmtd_dist.learners.sac_update import PeerSoftValues, SACBatch, SACSettings, SACUpdater
+from t4nmtd_dist.learners.sac_torch import updater_on
+from t4nmtd_dist.learners.sac_update import SACUpdater
 from t4nmtd_dist.product import TARGET_REWARD, SubtaskTables
 from t4nmtd_dist.runs.state_tree import State
 from t4nmtd_dist.worlds import Observations
@@ -94,6 +97,7 @@ class SACLearner:
         high_level: a copy of the coordinator's Q table, for E(Q, q').
         bounds: lowest and highest actions of the environment, float32 [A] each; the actor's [-1, 1] is scaled to them.
         seed: seeds networks and sampling.
+        device: where the networks are trained; what answers peers is on the CPU.
     """
 
     def __init__(
@@ -108,6 +112,7 @@ class SACLearner:
         *,
         bounds: Bounds,
         seed: int,
+        device: Device = "cpu",
     ) -> None:
         self.pid, self.attempts, self.high_level = pid, attempts, high_level
         self._tables, self._delta, self._config, self._sac = tables, delta, config, sac
@@ -127,7 +132,7 @@ class SACLearner:
             layer_norm=sac.layer_norm,
             hidden=config.hidden,
         )
-        self.updater = SACUpdater(self._observation_size + len(delta), action_size, settings, seed)
+        self.updater = updater_on(device, self._observation_size + len(delta), action_size, settings, seed)
         self._noise_seeds = itertools.count(seed + 1)
         self.published = self.replica()
         self._owed = 0.0

@@ -103,6 +103,18 @@ def layers_of(flat: Tensor, shape: StackShape) -> Layers:
     return Layers(hidden, named["head.weight"], named["head.bias"], named)
 
 
+def _initialise(layers: Layers, generator: torch.Generator) -> None:
+    for layer in layers.hidden:
+        bound = layer.weight.shape[1] ** -0.5
+        layer.weight.uniform_(-bound, bound, generator=generator)
+        layer.bias.uniform_(-bound, bound, generator=generator)
+        if layer.gain is not None:
+            layer.gain.fill_(1.0)
+    bound = layers.head_weight.shape[2] ** -0.5
+    layers.head_weight.uniform_(-bound, bound, generator=generator)
+    layers.head_bias.uniform_(-bound, bound, generator=generator)
+
+
 class Stack:
     """n networks of one shape.
 
@@ -111,31 +123,28 @@ class Stack:
         generator: draws initial weights and biases uniformly within 1 / sqrt(inputs of the layer), as
             ``torch.nn.Linear`` does; None leaves them at zero.
         dtype: float32; float64 in tests of gradients.
+        device: where the parameters lie; they are drawn on the CPU.
     """
 
     def __init__(
-        self, shape: StackShape, generator: torch.Generator | None = None, *, dtype: torch.dtype = torch.float32
+        self,
+        shape: StackShape,
+        generator: torch.Generator | None = None,
+        *,
+        dtype: torch.dtype = torch.float32,
+        device: torch.device | str = "cpu",
     ) -> None:
         self.shape = shape
-        self.flat = torch.zeros(flat_length(shape), dtype=dtype)
-        self.layers = layers_of(self.flat, shape)
+        drawn = torch.zeros(flat_length(shape), dtype=dtype)
         if generator is not None:
-            self._initialise(generator)
-
-    def _initialise(self, generator: torch.Generator) -> None:
-        for layer in self.layers.hidden:
-            bound = layer.weight.shape[1] ** -0.5
-            layer.weight.uniform_(-bound, bound, generator=generator)
-            layer.bias.uniform_(-bound, bound, generator=generator)
-            if layer.gain is not None:
-                layer.gain.fill_(1.0)
-        bound = self.layers.head_weight.shape[2] ** -0.5
-        self.layers.head_weight.uniform_(-bound, bound, generator=generator)
-        self.layers.head_bias.uniform_(-bound, bound, generator=generator)
+            _initialise(layers_of(drawn, shape), generator)
+        self.flat = drawn.to(device)
+        self.layers = layers_of(self.flat, shape)
 
     def weights(self) -> Weights:
         """Copies of all parameters by name, the first axis being the network."""
-        return {name: tensor.numpy().copy() for name, tensor in self.layers.named.items()}
+        here = layers_of(self.flat.cpu(), self.shape)
+        return {name: tensor.numpy().copy() for name, tensor in here.named.items()}
 
     def load(self, weights: Mapping[str, NDArray[Any]]) -> None:
         """Put arrays from ``weights`` into the stack.

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from t4nmtd_dist.learners.networks import Weights, check_finite, product_state
 from t4nmtd_dist.learners.peers import Values
-from t4nmtd_dist.learners.sac_update import SACUpdater, part_of
+from t4nmtd_dist.learners.sac_interface import SoftActorCritic, part_of
 from t4nmtd_dist.learners.value_request import read_value_request
 
 
@@ -27,13 +27,13 @@ class PublishedSoftCritic:
         dfa_states: |Q|.
     """
 
-    def __init__(self, copy: SACUpdater, observation_size: int, dfa_states: int) -> None:
+    def __init__(self, copy: SoftActorCritic, observation_size: int, dfa_states: int) -> None:
         self._copy = copy
         self._observation_size, self._dfa_states = observation_size, dfa_states
         self._version = 0
         self._lock = threading.Lock()
 
-    def update(self, updater: SACUpdater, version: int) -> None:
+    def update(self, updater: SoftActorCritic, version: int) -> None:
         """Copy newer parameters."""
         weights = updater.weights()
         with self._lock:
