@@ -6,10 +6,11 @@
 #   COMPOSE=...   the command; by default `docker compose`, or docker-compose where that is what there is
 #   T4NMTD=...    the command t4nmtd outside the containers; by default that of .venv, made if need be
 #   SEED=...      of the training; default 1
+#   MAX_INTERACTIONS=...   of the training; with 80000 it ends unsolved, and so does this script with 3
 set -euo pipefail
 cd "$(dirname "${BASH_SOURCE[0]}")/.."
 
-export COMPOSE_PROJECT_NAME=t4nmtd-test-$$ TASK=task7 SEED=${SEED:-1} MAX_INTERACTIONS=3000000
+export COMPOSE_PROJECT_NAME=t4nmtd-test-$$ TASK=task7 SEED=${SEED:-1} MAX_INTERACTIONS=${MAX_INTERACTIONS:-3000000}
 deadline=${DEADLINE_S:-900}
 folder=$(mktemp -d)
 if [ -z "${COMPOSE:-}" ]; then
