@@ -389,6 +389,20 @@ def test_the_last_steps_before_a_stop_count_once_whether_the_coordinator_hears_o
     assert work.counted == 4 * STEPS
 
 
+def test_an_answer_to_another_learner_of_the_same_worker_is_left_alone() -> None:
+    work = Work()
+    work.iterate(1)
+    work.session.last_sync()
+    held = len(work.session.buffer)
+    own = SyncReply("p1", work.session.epoch, 2, 0, work.talk.state.high_level.entries(), {})
+    others = msgspec.structs.replace(own, pid="p2", accepted_sequence=99, start_cursor=50)
+    work.session.take_reply(Envelope(others, {"starts.q": np.zeros(1, np.int32), "starts.state": np.zeros((1, 4))}))
+    assert not work.session.heard
+    assert len(work.session.buffer) == held
+    work.session.take_reply(Envelope(own, {}))
+    assert work.session.heard
+
+
 @pytest.mark.parametrize("same_run", [True, False])
 def test_a_learner_outlives_its_coordinator_and_tells_a_resumed_one_only_what_is_new(same_run: bool) -> None:
     work = Work()

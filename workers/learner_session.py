@@ -212,9 +212,9 @@ class LearnerSession:
         )
 
     def take_reply(self, envelope: Envelope) -> None:
-        """Take the coordinator's answer: start states, Q table, peers."""
+        """Take the coordinator's answer: start states, Q table, peers; answers to other sub-tasks are left alone."""
         reply = envelope.message
-        if not isinstance(reply, SyncReply) or reply.epoch != self.epoch:
+        if not isinstance(reply, SyncReply) or (reply.pid, reply.epoch) != (self.pid, self.epoch):
             return
         if reply.accepted_sequence >= self._sequence:
             self._outstanding = None
