@@ -6,7 +6,7 @@
 #   COMPOSE=...   the command; by default `docker compose`, or docker-compose where that is what there is
 #   T4NMTD=...    the command t4nmtd outside the containers; by default that of .venv, made if need be
 #   SEED=...      of the training; default 1
-#   MAX_INTERACTIONS=...   of the training; with 80000 it ends unsolved, and so does this script with 3
+#   MAX_INTERACTIONS=...   of the training; a small one ends it unsolved, and this script with 3 (if there was time to kill)
 set -euo pipefail
 cd "$(dirname "${BASH_SOURCE[0]}")/.."
 
