@@ -151,6 +151,8 @@ class SACConfig:
         alpha_floor: share of ``initial_alpha`` below which that of a learner without success does not fall; it goes
             to 0 with the square of the share of attempts that fail.
         tau: step of the target networks.
+        actor_average: share of the actor that enters, at each of its updates, the running average of its weights
+            that is evaluated and exported; 1 for the actor as it is (docs/decisions/015).
         layer_norm: layer normalisation in the critics.
     """
 
@@ -169,6 +171,7 @@ class SACConfig:
     initial_alpha: float = 0.0
     alpha_floor: float = 1.0
     tau: float = 0.005
+    actor_average: float = 0.001
     layer_norm: bool = True
 
 
@@ -234,6 +237,7 @@ def _check_ranges(task: TaskConfig) -> None:
         "sac.n_step": task.sac.n_step,
         "sac.learning_rate": task.sac.learning_rate,
         "sac.tau": task.sac.tau,
+        "sac.actor_average": task.sac.actor_average,
         "evaluation.episodes": task.evaluation.episodes,
         "evaluation.every": task.evaluation.every,
         "evaluation.in_a_row": task.evaluation.in_a_row,
@@ -248,6 +252,7 @@ def _check_ranges(task: TaskConfig) -> None:
         "sac.hold_share": task.sac.hold_share,
         "sac.alpha_floor": task.sac.alpha_floor,
         "sac.tau": task.sac.tau,
+        "sac.actor_average": task.sac.actor_average,
         "high_level.alpha": task.high_level.alpha,
         "high_level.epsilon": task.high_level.epsilon,
     }

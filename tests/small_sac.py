@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from t4nmtd_dist.compiled import CompiledTask, compile_task
 from t4nmtd_dist.initial_state_buffer import InitialStateBuffer
 from t4nmtd_dist.learners.build import build_learner
+from t4nmtd_dist.learners.networks import part_of
 from t4nmtd_dist.learners.peers import LocalPeers, PeerValues, Questions
 from t4nmtd_dist.learners.sac import SACLearner
 from t4nmtd_dist.learners.sac_update import SACUpdater
@@ -72,6 +73,14 @@ def twin(updater: SACUpdater) -> SACUpdater:
     made = SACUpdater(state_size, actions, updater.settings, seed=99)
     made.load(weights)
     made.load_optimiser_state(updater.optimiser_state())
+    return made
+
+
+def averaged(updater: SACUpdater) -> SACUpdater:
+    """An updater whose actor is the average of the other's."""
+    made = twin(updater)
+    weights = updater.weights()
+    made.load(weights | {f"actor.{name}": array for name, array in part_of(weights, "average").items()})
     return made
 
 

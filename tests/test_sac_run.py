@@ -13,7 +13,7 @@ from hypothesis import example, given, settings
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 from numpy.typing import NDArray
-from small_sac import AT_G1, PIDS, START, TO_G2, TO_G3, TO_G4, product_states, small_sac, small_sac_task, twin
+from small_sac import AT_G1, PIDS, START, TO_G2, TO_G3, TO_G4, averaged, product_states, small_sac, small_sac_task, twin
 
 from coordinator.snapshot import summary
 from coordinator.state import RunSettings
@@ -26,7 +26,7 @@ from t4nmtd_dist.initial_state_buffer import InitialStateBuffer
 from t4nmtd_dist.launch.serial import SerialRun
 from t4nmtd_dist.learners.actors import GaussianActor, scaled
 from t4nmtd_dist.learners.build import build_learner
-from t4nmtd_dist.learners.networks import product_state
+from t4nmtd_dist.learners.networks import part_of, product_state
 from t4nmtd_dist.learners.peers import NoPeers
 from t4nmtd_dist.learners.sac import SACLearner
 from t4nmtd_dist.policy import GlobalPolicy, load
@@ -116,7 +116,7 @@ def trained(name: str, pid: str) -> SACLearner:
     return learner
 
 
-def test_a_loaded_policy_acts_as_the_live_actors(tmp_path: Path) -> None:
+def test_a_loaded_policy_acts_as_the_live_actors_averages(tmp_path: Path) -> None:
     learners = {pid: trained("task5", pid) for pid in ("g1",)} | {pid: small_sac(pid) for pid in PIDS[1:]}
     folder = tmp_path / "policy"
     export_policy(folder, small_sac_task(), Q_TABLE, {pid: found.weights() for pid, found in learners.items()}, {})
@@ -127,9 +127,10 @@ def test_a_loaded_policy_acts_as_the_live_actors(tmp_path: Path) -> None:
     actions, known = policy.actions(observations, q)
     assert known.all()
     assert actions.dtype == np.float32
-    for row, state in enumerate(q):
-        learner = learners[{START: "g1", TO_G2: "g2", TO_G3: "g3", TO_G4: "g4"}[int(state)]]
-        live = learner.updater.act(product_states(observations[row : row + 1], q[row : row + 1]), deterministic=True)
+    for row in range(len(q)):
+        learner = learners[{START: "g1", TO_G2: "g2", TO_G3: "g3", TO_G4: "g4"}[int(q[row])]]
+        state = product_states(observations[row : row + 1], q[row : row + 1])
+        live = averaged(learner.updater).act(state, deterministic=True)
         assert actions[row] == pytest.approx(live[0], abs=1e-6)
     assert policy.act(observations[0], []) in spaces.Box(-1, 1, (2,), np.float32)
 
@@ -138,7 +139,7 @@ def test_actions_of_a_policy_are_stretched_to_its_action_space() -> None:
     """Waterworld's velocities go up to 3.5."""
     learner, task = trained("task1", "red"), small_sac_task(name="task1")
     weights = learner.weights()
-    weights["actor.head.weight"][:] *= 300
+    weights["average.head.weight"][:] *= 300
     learner.load(weights, 1)
     config = (task.config, task.dfa, task.decomposition, [(0, "red", 1.0)])
     policy = GlobalPolicy(*config, {"red": weights}, task.rho)
@@ -146,21 +147,21 @@ def test_actions_of_a_policy_are_stretched_to_its_action_space() -> None:
     observations = observations.astype(np.float32)
     states = product_states(observations, np.zeros(50, np.int32), task.dfa.states)
     actions, _ = policy.actions(observations, np.zeros(50, np.int32))
-    assert np.allclose(actions, 3.5 * learner.updater.act(states, deterministic=True), atol=1e-5)
+    assert np.allclose(actions, 3.5 * averaged(learner.updater).act(states, deterministic=True), atol=1e-5)
     assert all(action in spaces.Box(-3.5, 3.5, (2,), np.float32) for action in actions)
     assert np.abs(actions).max() > 3.4
 
 
-@pytest.mark.parametrize("damage", ["actor.low", "actor.high", "actor.0.weight", "actor.head.bias"])
+@pytest.mark.parametrize("damage", ["low", "high", "0.weight", "head.bias"])
 def test_an_actor_without_a_part_is_refused(damage: str) -> None:
-    weights = {k.removeprefix("actor."): v for k, v in small_sac("g1").weights().items() if k.startswith("actor.")}
-    del weights[damage.removeprefix("actor.")]
+    weights = part_of(small_sac("g1").weights(), "average")
+    del weights[damage]
     with pytest.raises(PolicyError):
         GaussianActor((16,), weights)
 
 
 def test_bounds_that_do_not_belong_together_are_refused() -> None:
-    weights = {k.removeprefix("actor."): v for k, v in small_sac("g1").weights().items() if k.startswith("actor.")}
+    weights = part_of(small_sac("g1").weights(), "average")
     with pytest.raises(PolicyError, match=r"\(2,\) and \(3,\)"):
         GaussianActor((16,), weights | {"high": np.ones(3, np.float32)})
 

@@ -334,18 +334,34 @@ def test_a_resumed_updater_goes_on_bit_for_bit() -> None:
 
 
 def test_the_actor_is_updated_as_rarely_as_is_asked_for_across_a_resume_too() -> None:
-    chosen = dataclasses.replace(SMALL, actor_every=3)
+    chosen = dataclasses.replace(SMALL, actor_every=3, actor_average=0.3)
+    parts = ("actor.0.weight", "average.0.weight", "log_alpha")
     updater, changes = SACUpdater(5, 2, chosen, seed=1), []
     for step in range(8):
         before = updater.weights()
         updater.update(random_batch(8, 5, 2, step))
         after, resumed = updater.weights(), SACUpdater(5, 2, chosen, seed=2)
-        changes.append({part: (before[part] != after[part]).any() for part in ("actor.0.weight", "log_alpha")})
+        changes.append({part: (before[part] != after[part]).any() for part in parts})
         assert (before["critics.0.weight"] != after["critics.0.weight"]).any()
         resumed.load(after)
         resumed.load_optimiser_state(updater.optimiser_state())
         updater = resumed
-    assert changes == [dict.fromkeys(("actor.0.weight", "log_alpha"), step % 3 == 0) for step in range(8)]
+    assert changes == [dict.fromkeys(parts, step % 3 == 0) for step in range(8)]
+
+
+@pytest.mark.parametrize("share", [0.3, 1.0])
+@pytest.mark.parametrize("every", [1, 2])
+def test_the_average_is_a_mean_of_the_first_actors_and_then_follows_them(share: float, every: int) -> None:
+    updater = SACUpdater(5, 2, dataclasses.replace(SMALL, actor_average=share, actor_every=every), seed=1)
+    actors = []
+    for step in range(6 * every):
+        updater.update(random_batch(8, 5, 2, step))
+        if step % every == 0:
+            actors.append(updater.weights()["actor.0.weight"])
+    expected = np.mean(actors[:3], axis=0) if share < 1.0 else actors[2]
+    for actor in actors[3:]:
+        expected = (1 - share) * expected + share * actor
+    np.testing.assert_allclose(updater.weights()["average.0.weight"], expected, atol=1e-6)
 
 
 def test_updates_without_the_actor_move_the_critics_as_updates_with_it_do() -> None:

@@ -12,7 +12,7 @@ from torch import Tensor
 
 from t4nmtd_dist.config import LearnerConfig
 from t4nmtd_dist.errors import PolicyError
-from t4nmtd_dist.learners.networks import Weights, load_weights, mlp
+from t4nmtd_dist.learners.networks import Weights, load_weights, mlp, part_of
 
 Actions = NDArray[Any]
 
@@ -79,11 +79,17 @@ def scaled(actions: NDArray[np.float32], low: NDArray[np.float32], high: NDArray
     return stretched
 
 
+def acting_parameters(weights: Mapping[str, NDArray[Any]]) -> Weights:
+    """The parameters, named ``actor.*``, of the actor that is evaluated and exported: the average, if one is kept."""
+    kept = part_of(weights, "average") or part_of(weights, "actor")
+    return {f"actor.{name}": array for name, array in kept.items()}
+
+
 def make_actor(config: LearnerConfig, weights: Mapping[str, NDArray[Any]]) -> Actor:
-    """An actor from parameters named ``actor.*``; others are ignored.
+    """The deterministic actor of a learner's, or of an exported policy's, parameters.
 
     Raises:
         PolicyError: if they are missing or do not fit.
     """
-    own = {name.removeprefix("actor."): array for name, array in weights.items() if name.startswith("actor.")}
+    own = part_of(acting_parameters(weights), "actor")
     return GaussianActor(config.hidden, own) if config.algorithm == "sac" else CategoricalActor(config.hidden, own)

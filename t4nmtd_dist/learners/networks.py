@@ -45,6 +45,12 @@ def weights_of(module: nn.Module) -> Weights:
     return {name: tensor.detach().cpu().numpy().copy() for name, tensor in module.state_dict().items()}
 
 
+def part_of(arrays: Mapping[str, NDArray[Any]], part: str) -> Weights:
+    """The arrays named ``part.*``, without that prefix."""
+    prefix = part + "."
+    return {name.removeprefix(prefix): array for name, array in arrays.items() if name.startswith(prefix)}
+
+
 def check_finite(weights: Mapping[str, NDArray[Any]]) -> None:
     """Check weights that came from elsewhere.
 

@@ -128,6 +128,7 @@ class SACLearner:
         settings = SACSettings(
             learning_rate=sac.learning_rate,
             tau=sac.tau,
+            actor_average=sac.actor_average,
             initial_alpha=self._initial_alpha,
             layer_norm=sac.layer_norm,
             hidden=config.hidden,
@@ -156,12 +157,14 @@ class SACLearner:
         return PublishedSoftCritic(copy, self._observation_size, len(self._delta))
 
     def weights(self) -> Weights:
-        """Copies of all parameters by name, and the bounds that the actor's actions are stretched to."""
-        return self.updater.weights() | {"actor.low": self._low, "actor.high": self._high}
+        """Copies of all parameters by name, and the bounds that the average actor's actions are stretched to."""
+        return self.updater.weights() | {"average.low": self._low, "average.high": self._high}
 
     def load(self, weights: Mapping[str, NDArray[Any]], version: int) -> None:
         """Go on from weights learned before."""
-        self.updater.load({name: array for name, array in weights.items() if name not in ("actor.low", "actor.high")})
+        self.updater.load(
+            {name: array for name, array in weights.items() if name not in ("average.low", "average.high")}
+        )
         self.version = version
         self.published.update(self.updater, version)
 

@@ -28,6 +28,8 @@ class SACSettings:
     Attributes:
         learning_rate: of the three optimisers.
         tau: share of the critics that enters their targets at every step.
+        actor_average: share of the actor that enters its running average at every step of it; the first steps count
+            equally. 1 for an average that is the actor itself.
         initial_alpha: entropy coefficient to begin with; 0.1 rather than 1, which would dwarf a sparse reward.
         target_entropy: nats per action; None for minus the number of action dimensions.
         actor_every: updates of the critics for one of actor and entropy coefficient; 1 as usual, more where critics
@@ -38,6 +40,7 @@ class SACSettings:
 
     learning_rate: float = 3e-4
     tau: float = 0.005
+    actor_average: float = 1.0
     initial_alpha: float = 0.1
     target_entropy: float | None = None
     actor_every: int = 1
@@ -121,7 +124,7 @@ class SoftActorCritic(Protocol):
         """
 
     def weights(self) -> Weights:
-        """Copies of everything learned: ``actor.*``, ``critics.*``, ``targets.*`` and ``log_alpha`` [1]."""
+        """Copies of everything learned: ``actor.*``, ``average.*``, ``critics.*``, ``targets.*``, ``log_alpha`` [1]."""
 
     def load(self, weights: Mapping[str, NDArray[Any]]) -> None:
         """Put arrays from ``weights`` into the networks.
@@ -135,9 +138,3 @@ class SoftActorCritic(Protocol):
 
     def load_optimiser_state(self, state: Mapping[str, NDArray[Any]]) -> None:
         """Go on from an ``optimiser_state``."""
-
-
-def part_of(arrays: Mapping[str, NDArray[Any]], part: str) -> Weights:
-    """The arrays named ``part.*``, without that prefix."""
-    prefix = part + "."
-    return {name.removeprefix(prefix): array for name, array in arrays.items() if name.startswith(prefix)}

@@ -13,8 +13,8 @@ from numpy.typing import NDArray
 
 from t4nmtd_dist.errors import PolicyError
 from t4nmtd_dist.learners.flat_adam import FlatAdam
-from t4nmtd_dist.learners.networks import Weights
-from t4nmtd_dist.learners.sac_interface import Floats, SACSettings, part_of
+from t4nmtd_dist.learners.networks import Weights, part_of
+from t4nmtd_dist.learners.sac_interface import Floats, SACSettings
 from t4nmtd_dist.learners.sac_networks import Stack, StackShape
 from t4nmtd_dist.learners.squashed_gaussian import Reals
 
@@ -54,7 +54,7 @@ class LastUpdate:
 
 
 class SACParameters:
-    """Actor, critics, targets, entropy coefficient, their optimisers and the generator of noise.
+    """Actor and its average, critics, targets, entropy coefficient, the optimisers and the generator of noise.
 
     Initial weights and noise are drawn on the CPU, whatever the device: a seed means the same everywhere.
 
@@ -75,6 +75,8 @@ class SACParameters:
         actor = StackShape(1, state_size, settings.hidden, 2 * action_size, layer_norm=False)
         critics = StackShape(2, state_size + action_size, settings.hidden, 1, layer_norm=settings.layer_norm)
         self._actor = Stack(actor, self._generator, device=device)
+        self._average = Stack(actor, device=device)
+        self._average.flat.copy_(self._actor.flat)
         self._critics = Stack(critics, self._generator, device=device)
         self._targets = Stack(critics, device=device)
         self._targets.flat.copy_(self._critics.flat)
@@ -96,6 +98,11 @@ class SACParameters:
     def _actor_is_due(self) -> bool:
         return self._optimisers["critics"].steps % self.settings.actor_every == 0
 
+    def _average_actor(self) -> None:
+        """To be called after every step of the actor."""
+        share = max(self.settings.actor_average, 1.0 / self._optimisers["actor"].steps)
+        self._average.flat.lerp_(self._actor.flat, share)
+
     @torch.no_grad()
     def keep_alpha_above(self, floor: float) -> None:
         """See ``SoftActorCritic.keep_alpha_above``."""
@@ -103,7 +110,7 @@ class SACParameters:
             self._log_alpha.clamp_(min=math.log(floor))
 
     def _stacks(self) -> dict[str, Stack]:
-        return {"actor": self._actor, "critics": self._critics, "targets": self._targets}
+        return {"actor": self._actor, "average": self._average, "critics": self._critics, "targets": self._targets}
 
     def weights(self) -> Weights:
         """See ``SoftActorCritic.weights``."""

@@ -12,9 +12,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from t4nmtd_dist.learners.networks import Weights, check_finite, product_state
+from t4nmtd_dist.learners.networks import Weights, check_finite, part_of, product_state
 from t4nmtd_dist.learners.peers import Values
-from t4nmtd_dist.learners.sac_interface import SoftActorCritic, part_of
+from t4nmtd_dist.learners.sac_interface import SoftActorCritic
 from t4nmtd_dist.learners.value_request import read_value_request
 
 
@@ -56,6 +56,7 @@ class PublishedSoftCritic:
         check_finite(weights)
         copied = {name: np.array(array) for name, array in weights.items()}  # torch wants to be able to write
         unused = {f"critics.{name}": array for name, array in part_of(copied, "targets").items()}
+        unused |= {f"average.{name}": array for name, array in part_of(copied, "actor").items()}
         with self._lock:
             self._copy.load({**copied, **unused, "log_alpha": np.zeros(1, np.float32)})
             self._version = version

@@ -179,6 +179,7 @@ class TorchSACUpdater(SACParameters):
             targets = self._soft_targets(given, alpha)
             errors = self._step_critics(given, targets)
             values = self._step_actor(given, actions, log_probs, alpha)
+            self._average_actor()
             self._last = _Last(errors, targets, log_probs.detach(), values, alpha)
         else:
             self._step_critics(given, self._soft_targets(given, alpha))

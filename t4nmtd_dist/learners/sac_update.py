@@ -172,6 +172,7 @@ class SACUpdater(SACParameters):
         states, activations = room.states[:rows], room.actor.first(rows)
         weight_gradients(self._actor.layers, self._actor_gradients, states, activations, d_outputs)
         self._optimisers["actor"].step()
+        self._average_actor()
         values: Reals = room.values_array.min(0)
         return values
 

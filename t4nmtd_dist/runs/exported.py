@@ -15,6 +15,7 @@ from safetensors.numpy import save_file
 
 from t4nmtd_dist.compiled import CompiledTask
 from t4nmtd_dist.high_level import QEntries
+from t4nmtd_dist.learners.actors import acting_parameters
 
 POLICY_FORMAT = 1
 POLICY_FILE = "policy.json"
@@ -34,7 +35,7 @@ def export_policy(
         folder: its new home.
         task: the compiled task.
         q_table: known entries of Q(q, T).
-        weights: by pid, all parameters; only the actors' are kept.
+        weights: by pid, all parameters; only those of the actors that act are kept.
         about: where it comes from (interactions, versions, seed), for readers.
     """
     fresh = folder.with_name(folder.name + ".new")
@@ -43,8 +44,7 @@ def export_policy(
     actors = {
         f"{pid}/{name}": np.ascontiguousarray(array)
         for pid, named in weights.items()
-        for name, array in named.items()
-        if name.startswith("actor.")
+        for name, array in acting_parameters(named).items()
     }
     save_file(actors, fresh / ACTORS_FILE)
     data = {
