@@ -4,9 +4,9 @@
     python benchmarks/train_tasks.py --tasks task7 --seeds 0 1 --keep    # trains nothing, keeps what has finished
     python benchmarks/train_tasks.py --table                             # all that is kept, from benchmarks/results
 
-Every run is a `t4nmtd train` of its own; one that is already in ``--runs`` is not repeated. The small files behind the
-table (summary, settings, evaluations, at most 200 rows of every learner's metrics) are copied to
-benchmarks/results/TASK-sSEED, the policy of every task's lowest solved seed to benchmarks/policies/TASK.
+Every run is a `t4nmtd train` of its own; one that has ended in ``--runs`` is not repeated, one that was stopped goes
+on. The small files behind the table (summary, settings, evaluations, at most 200 rows of every learner's metrics) are
+copied to benchmarks/results/TASK-sSEED, the policy of every task's lowest solved seed to benchmarks/policies/TASK.
 
 In the table, the means of interactions, wall-clock time, updates and length are of the solved runs; those of success,
 perturbed success and the own critic's share are of all runs.
@@ -41,11 +41,24 @@ COLUMNS = (
 # Runs
 
 
-def train(task: str, seed: int, run: Path, flags: list[str]) -> None:
-    """Train one task with one seed, unless that was done before."""
-    if not (run / "summary.json").exists():
+def train(task: str, seed: int, run: Path, settings: Sequence[str]) -> None:
+    """Train one task with one seed, or what is left of it."""
+    command = training_command(task, seed, run, settings)
+    if command:
+        subprocess.run(_program(command), check=False)
+
+
+def training_command(task: str, seed: int, run: Path, settings: Sequence[str]) -> list[str]:
+    """The command that begins a run with ``settings`` (``key=value``) or resumes it under its own.
+
+    Empty for one that has ended.
+    """
+    if not run.exists():
         command = ["t4nmtd", "train", "--task", task, "--seed", str(seed), "--run-dir", str(run), "--no-dashboard"]
-        subprocess.run([*_program(command), *flags], check=False)
+        return [*command, *(part for setting in settings for part in ("--set", setting))]
+    summary = run / "summary.json"
+    outcome = json.loads(summary.read_text(encoding="utf-8"))["outcome"] if summary.exists() else None
+    return ["t4nmtd", "train", "--resume", str(run), "--no-dashboard"] if outcome in (None, "stopped") else []
 
 
 def evaluate(run: Path, perturb: int) -> dict[str, Any]:
@@ -184,7 +197,7 @@ def _line(task: str, seed: str, solved: str, reached: Sequence[Row], runs: Seque
 def _train_and_keep(task: str, seed: int, arguments: argparse.Namespace) -> None:
     run: Path = arguments.runs / f"{task}-s{seed}"
     if not arguments.keep:
-        train(task, seed, run, [part for flag in arguments.set for part in ("--set", flag)])
+        train(task, seed, run, arguments.set)
     if not (run / "summary.json").exists() or not (run / "policy").is_dir():
         _say(f"{run.name}: no summary or no policy, so nothing is kept")
         return

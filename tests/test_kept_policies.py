@@ -123,6 +123,23 @@ def test_the_policy_of_the_lowest_solved_seed_is_kept(train_tasks: ModuleType, t
     assert list(seeds()) == [None, 3, 3, 2]
 
 
+def test_runs_begin_go_on_or_are_left_alone(train_tasks: ModuleType, tmp_path: Path) -> None:
+    def command() -> list[str]:
+        found: list[str] = train_tasks.training_command("task9", 1, run, ["sac.batch=8", "learner.gamma=0.9"])
+        return found
+
+    run = tmp_path / "task9-s1"
+    begun = command()
+    assert begun[:2] == ["t4nmtd", "train"]
+    assert begun[-4:] == ["--set", "sac.batch=8", "--set", "learner.gamma=0.9"]
+    run.mkdir()
+    killed = command()
+    assert killed == ["t4nmtd", "train", "--resume", str(run), "--no-dashboard"]
+    for outcome, resumed in (("stopped", True), ("solved", False), ("budget spent", False), (None, True)):
+        (run / "summary.json").write_text(json.dumps({"outcome": outcome}), encoding="utf-8")
+        assert command() == (killed if resumed else []), outcome
+
+
 def test_a_policy_that_is_too_large_is_refused(
     train_tasks: ModuleType, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
