@@ -1,17 +1,21 @@
 #!/usr/bin/env bash
-# Tries docker-compose.yml for real: builds, trains task7 with four workers, kills one of them on the way, and looks at
-# what is left. Ends with the coordinator's exit code, or 1 where a check fails. Leaves nothing behind but the image.
+# Tries docker-compose.yml for real: builds, trains a task with a worker for each sub-task, kills one of them on the way,
+# and looks at what is left. Ends with the coordinator's exit code, or 1 where a check fails. Leaves nothing behind but the image.
 #
 # Usage: deploy/test-compose.sh          (as root, or as somebody who may use docker and sudo without a password)
 #   COMPOSE=...   the command; by default `docker compose`, or docker-compose where that is what there is
 #   T4NMTD=...    the command t4nmtd outside the containers; by default that of .venv, made if need be
+#   TASK=...      what to train; default task7
+#   WORKERS=...   how many there are; default 4
+#   PID=...       the sub-task whose worker is killed; default g
 #   SEED=...      of the training; default 1
-#   MAX_INTERACTIONS=...   of the training; a small one ends it unsolved, and this script with 3 (if there was time to kill)
+#   MAX_INTERACTIONS=...   of the training. A small one ends it unsolved, and this script with 3, if there was time to kill
+#                 on the way: TASK=task8 WORKERS=5 PID=g1 MAX_INTERACTIONS=300000
 set -euo pipefail
 cd "$(dirname "${BASH_SOURCE[0]}")/.."
 
-export COMPOSE_PROJECT_NAME=t4nmtd-test-$$ TASK=task7 SEED=${SEED:-1} MAX_INTERACTIONS=${MAX_INTERACTIONS:-3000000}
-deadline=${DEADLINE_S:-900}
+export COMPOSE_PROJECT_NAME=t4nmtd-test-$$ TASK=${TASK:-task7} SEED=${SEED:-1} MAX_INTERACTIONS=${MAX_INTERACTIONS:-3000000}
+deadline=${DEADLINE_S:-900} workers=${WORKERS:-4} pid=${PID:-g}
 folder=$(mktemp -d)
 if [ -z "${COMPOSE:-}" ]; then
   COMPOSE="docker compose"
@@ -57,19 +61,19 @@ $COMPOSE build >"$folder/build.log" 2>&1 || { tail -n 30 "$folder/build.log"; fa
 say "image: $(docker image inspect --format '{{.Size}}' t4nmtd-dist | awk '{printf "%.2f GB", $1 / 1e9}')"
 
 SECONDS=0
-$COMPOSE up -d --scale worker=4 >"$folder/up.log" 2>&1 || { cat "$folder/up.log"; fail "up"; }
+$COMPOSE up -d --scale worker=$workers >"$folder/up.log" 2>&1 || { cat "$folder/up.log"; fail "up"; }
 say "up after $SECONDS s, the coordinator healthy"
 coordinator=$($COMPOSE ps -q coordinator)
 until_true 'any(row["updates"] for row in s["learners"])' "a first learning step"
 say "first learning step $SECONDS s after up began"
 
-# As soon as g learns: its worker's container, and the number of its lease.
-g='next(row for row in s["learners"] if row["pid"] == "g")'
-until_true "$g['phase'] == 'training'" "g learns"
-holder=$(ask "$g['worker']")
+# As soon as it learns: its worker's container, and the number of its lease.
+learner="next(row for row in s['learners'] if row['pid'] == '$pid')"
+until_true "$learner['phase'] == 'training'" "$pid learns"
+holder=$(ask "$learner['worker']")
 as_root kill -KILL "$(docker inspect --format '{{.State.Pid}}' "${holder%%:*}")"
-say "killed the process of $holder, which held g, after $SECONDS s"
-until_true "$g['epoch'] > 1" "g has a worker again"
+say "killed the process of $holder, which held $pid, after $SECONDS s"
+until_true "$learner['epoch'] > 1" "$pid has a worker again"
 say "workers: $(ask '", ".join(sorted(row["pid"] + " " + row["worker"] for row in s["learners"]))')"
 
 code=$(timeout "$deadline" docker wait "$coordinator") || fail "not over within $deadline s"
@@ -77,9 +81,9 @@ say "the coordinator ended with code $code after $SECONDS s: $(docker logs "$coo
 run=$(docker run --rm -v "${COMPOSE_PROJECT_NAME}_runs:/runs:ro" t4nmtd-dist readlink /runs/$TASK/latest)
 docker cp -q "$coordinator:/data/runs/$TASK/$run" "$folder/run" 2>/dev/null ||
   docker cp "$coordinator:/data/runs/$TASK/$run" "$folder/run" >/dev/null
-grep -o '"[^"]* takes g [^"]*"' "$folder/run/events.jsonl" | sed 's/^/test-compose:   /'
-[ "$(grep -c 'takes g ' "$folder/run/events.jsonl")" -ge 2 ] || fail "nobody took g again"
-find "$folder/run/tensorboard/g" -name 'events.out.tfevents.*' -size +0 | grep -q . || fail "no curves of g for TensorBoard"
+grep -o "\"[^\"]* takes $pid [^\"]*\"" "$folder/run/events.jsonl" | sed 's/^/test-compose:   /'
+[ "$(grep -c "takes $pid " "$folder/run/events.jsonl")" -ge 2 ] || fail "nobody took $pid again"
+find "$folder/run/tensorboard/$pid" -name 'events.out.tfevents.*' -size +0 | grep -q . || fail "no curves of $pid for TensorBoard"
 owners=$(docker run --rm -v "${COMPOSE_PROJECT_NAME}_runs:/runs:ro" t4nmtd-dist \
   find "/runs/$TASK/$run" -printf '%U:%G\n' | sort -u)
 [ "$owners" = "$owner:$owner" ] || fail "the run directory belongs to $owners, expected $owner:$owner"
