@@ -79,6 +79,7 @@ class Recorder:
                     "entropy": total.entropy,
                     "value_loss": total.value_loss,
                     "start_states": len(record.buffer),
+                    "peer_rows": total.peer_rows,
                     "asked": total.intervention.asked,
                     "answered": total.intervention.answered,
                     "late": total.intervention.late,

@@ -62,6 +62,7 @@ class LearnerRecord:
             episode_steps=b.episode_steps,
             entropy=b.entropy,
             value_loss=b.value_loss,
+            peer_rows=b.peer_rows,
             intervention=add_interventions(a.intervention, b.intervention),
         )
 

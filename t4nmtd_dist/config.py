@@ -142,6 +142,7 @@ class SACConfig:
         n_step: longest return, cut at every change of the DFA state.
         relabel_share: share of a batch that is read in a DFA state drawn from all those in which the sub-task has a
             transition, often the row's own among them (exact relabelling).
+        peer_share: share of a batch from the experience of peers, read as the sub-task's own (docs/decisions/016).
         success_share: share of a batch from the last steps before past successes.
         wave_share: share of the attempts of a learner without success that are driven by sinusoids.
         hold_share: share of the attempts of a learner without success in which random actions interrupt the policy,
@@ -164,6 +165,7 @@ class SACConfig:
     updates_per_step: float = 0.5
     n_step: int = 5
     relabel_share: float = 0.5
+    peer_share: float = 0.5
     success_share: float = 0.25
     wave_share: float = 0.25
     hold_share: float = 0.25
@@ -171,7 +173,7 @@ class SACConfig:
     initial_alpha: float = 0.0
     alpha_floor: float = 1.0
     tau: float = 0.005
-    actor_average: float = 0.001
+    actor_average: float = 0.005
     layer_norm: bool = True
 
 
@@ -247,6 +249,7 @@ def _check_ranges(task: TaskConfig) -> None:
         "learner.gamma": task.learner.gamma,
         "ppo.gae_lambda": task.ppo.gae_lambda,
         "sac.relabel_share": task.sac.relabel_share,
+        "sac.peer_share": task.sac.peer_share,
         "sac.success_share": task.sac.success_share,
         "sac.wave_share": task.sac.wave_share,
         "sac.hold_share": task.sac.hold_share,

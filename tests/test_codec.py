@@ -26,6 +26,8 @@ from t4nmtd_dist.wire.messages import (
     EvaluationReport,
     EvaluationRow,
     EventLine,
+    ExperienceReply,
+    ExperienceRequest,
     Failure,
     Goodbye,
     Granted,
@@ -127,6 +129,8 @@ EXAMPLES: list[Message] = [
     ValueReply(version=1),
     WeightsRequest(pid="g", newer_than=-1),
     WeightsReply(version=1),
+    ExperienceRequest(pid="g", step=5),
+    ExperienceReply(first=3, written=9),
     DashboardState(
         task="task7",
         title="t",

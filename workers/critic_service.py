@@ -1,4 +1,4 @@
-"""Answers peers' critic requests from published copies of the networks, in a thread of its own.
+"""Answers peers in a thread of its own: critic values and weights from published copies, and experience.
 
 That thread shares the interpreter with the learner, so what it does is time that the learner lacks: all value requests
 that wait for a sub-task are evaluated in one call.
@@ -24,12 +24,22 @@ from t4nmtd_dist.wire.codec import Envelope, with_prefix
 from t4nmtd_dist.wire.gate import Arrival, Gate
 from t4nmtd_dist.wire.keys import KeyPair
 from t4nmtd_dist.wire.limits import CRITIC_LIMITS
-from t4nmtd_dist.wire.messages import Failure, Message, ValueReply, ValueRequest, WeightsReply, WeightsRequest
+from t4nmtd_dist.wire.messages import (
+    ExperienceReply,
+    ExperienceRequest,
+    Failure,
+    Message,
+    ValueReply,
+    ValueRequest,
+    WeightsReply,
+    WeightsRequest,
+)
 from t4nmtd_dist.wire.notices import Notices, Tell
 from t4nmtd_dist.wire.sockets import Context, bind, bound_endpoint, send
 from t4nmtd_dist.wire.zap import Authenticator, Refusal
 
 if TYPE_CHECKING:
+    from t4nmtd_dist.learners.experience import Experience
     from t4nmtd_dist.learners.protocol import PublishedValues
 
 POLL_MS = 200
@@ -37,9 +47,34 @@ MESSAGES_PER_TURN = 200
 STRANGER_S = 5.0
 MOST_STRANGERS = 1000
 WEIGHTS_EVERY_S = 0.5
-WEIGHTS_REMEMBERED = 4096
+EXPERIENCE_EVERY_S = 0.1
+EXPERIENCE_BYTES = 1 << 20
+REMEMBERED = 4096
 
 Answer = tuple[Message, dict[str, NDArray[Any]]]
+
+
+class _Pace:
+    """What a connection gets of a sub-task only so often.
+
+    Args:
+        every_s: seconds between two of them.
+    """
+
+    def __init__(self, every_s: float) -> None:
+        self.every_s = every_s
+        self._last: OrderedDict[tuple[bytes, str], float] = OrderedDict()
+
+    def is_early(self, peer: bytes, pid: str) -> bool:
+        """Whether it has had the last too short a time ago."""
+        return time.monotonic() - self._last.get((peer, pid), -np.inf) < self.every_s
+
+    def note(self, peer: bytes, pid: str) -> None:
+        """It gets one now."""
+        self._last[peer, pid] = time.monotonic()
+        self._last.move_to_end((peer, pid))
+        if len(self._last) > REMEMBERED:
+            self._last.popitem(last=False)
 
 
 class CriticService:
@@ -80,14 +115,17 @@ class CriticService:
         host, port = split_endpoint(bound_endpoint(self._socket))
         self.endpoint = f"tcp://{advertise or host}:{port}"
         self._critics: dict[str, PublishedValues] = {}
-        self._weights_sent: OrderedDict[tuple[bytes, str], float] = OrderedDict()
+        self._experiences: dict[str, Experience] = {}
+        self._weights_pace, self._experience_pace = _Pace(WEIGHTS_EVERY_S), _Pace(EXPERIENCE_EVERY_S)
         self._stop = threading.Event()
         self._thread = threading.Thread(target=self._loop, name="critic-service", daemon=True)
         self._thread.start()
 
-    def serve(self, pid: str, critic: PublishedValues) -> None:
-        """Answer requests for ``pid`` from ``critic`` from now on."""
+    def serve(self, pid: str, critic: PublishedValues, experience: Experience | None = None) -> None:
+        """Answer requests for ``pid`` from ``critic`` and ``experience`` from now on."""
         self._critics[pid] = critic
+        if experience is not None:
+            self._experiences[pid] = experience
 
     def allow(self, keys: Iterable[str]) -> None:
         """Let these keys ask, and this worker's own, and no others from now on; nothing to do without keys."""
@@ -137,8 +175,11 @@ class CriticService:
         send(self._socket, Envelope(*answer, id=question.id), peer=peer)
 
     def _other_answer(self, peer: bytes, request: Message) -> Answer:
+        if isinstance(request, ExperienceRequest):
+            return self._experience(peer, request)
         if not isinstance(request, WeightsRequest):
-            return Failure(text=f"a critic takes requests of values and weights, not {type(request).__name__}"), {}
+            takes = "values, weights and experience"
+            return Failure(text=f"a critic takes requests of {takes}, not {type(request).__name__}"), {}
         critic = self._critics.get(request.pid)
         if critic is None:
             return _no_critic(request.pid)
@@ -146,17 +187,24 @@ class CriticService:
 
     def _weights(self, peer: bytes, request: WeightsRequest, critic: PublishedValues) -> Answer:
         """The newest weights, for each connection twice a second at most."""
-        now = time.monotonic()
-        if now - self._weights_sent.get((peer, request.pid), -np.inf) < WEIGHTS_EVERY_S:
-            return Failure(text=f"weights of {request.pid!r} were sent to you less than {WEIGHTS_EVERY_S} s ago"), {}
+        if self._weights_pace.is_early(peer, request.pid):
+            return _early("weights", request.pid, self._weights_pace)
         weights, version = critic.weights()
         if version <= request.newer_than:
             return WeightsReply(version=version), {}
-        self._weights_sent[peer, request.pid] = now
-        self._weights_sent.move_to_end((peer, request.pid))
-        if len(self._weights_sent) > WEIGHTS_REMEMBERED:
-            self._weights_sent.popitem(last=False)
+        self._weights_pace.note(peer, request.pid)
         return WeightsReply(version=version), with_prefix("weights.", weights)
+
+    def _experience(self, peer: bytes, request: ExperienceRequest) -> Answer:
+        """Steps from the one asked for on, as many as fit into a message, for each connection ten times a second."""
+        experience = self._experiences.get(request.pid)
+        if experience is None:
+            return Failure(text=f"no experience of {request.pid!r} here"), {}
+        if self._experience_pace.is_early(peer, request.pid):
+            return _early("experience", request.pid, self._experience_pace)
+        self._experience_pace.note(peer, request.pid)
+        first, columns = experience.since(request.step, EXPERIENCE_BYTES)
+        return ExperienceReply(first=first, written=experience.written), with_prefix("experience.", columns)
 
     def _values(self, pid: str, requests: Sequence[Envelope]) -> list[Answer]:
         """Answers to the value requests of one sub-task, from one evaluation if all of them are good."""
@@ -167,6 +215,10 @@ class CriticService:
             with suppress(ProtocolError, ValueError, KeyError, TypeError):  # one by one then: they fail alone
                 return _together(critic, requests)
         return [_alone(critic, request) for request in requests]
+
+
+def _early(what: str, pid: str, pace: _Pace) -> Answer:
+    return Failure(text=f"{what} of {pid!r} went to you less than {pace.every_s} s ago"), {}
 
 
 def _no_critic(pid: str) -> Answer:

@@ -60,6 +60,7 @@ class LearnerSession:
         self.learner = build_learner(task, granted.pid, self.buffer, self.high_level, seed=seed, device=device)
         self.peers: dict[str, Peer] = {}
         self.intervention = task.config.learner.intervention
+        self.letters = task.dfa.delta.shape[1]
         weights = without_prefix("weights.", arrays)
         if weights:
             self.learner.load(weights, granted.version)
@@ -208,6 +209,7 @@ class LearnerSession:
             episode_steps=attempts.recent_length,
             entropy=entropy,
             value_loss=value_loss,
+            peer_rows=self.learner.peer_rows,
             intervention=Intervention(**asdict(self._counts)),
         )
 

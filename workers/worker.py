@@ -10,8 +10,10 @@ import signal
 import socket as hostnames
 import sys
 import time
+from collections import ChainMap
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -23,6 +25,7 @@ from t4nmtd_dist.learners.peers import CriticValues, LocalPeers, MixedPeers, NoP
 from t4nmtd_dist.wire.addresses import critic_endpoints
 from t4nmtd_dist.wire.codec import Envelope
 from t4nmtd_dist.wire.critic_client import QueryPeers
+from t4nmtd_dist.wire.experience_client import PeerExperience
 from t4nmtd_dist.wire.handshake import HandshakeMonitor, trouble
 from t4nmtd_dist.wire.keys import load_client
 from t4nmtd_dist.wire.messages import (
@@ -44,6 +47,7 @@ from workers.loading import Loader, WaitingLease
 from workers.state import Action, Ask, Begin, End, Exit, GiveBack, Say, WorkerState
 
 if TYPE_CHECKING:
+    from t4nmtd_dist.learners.experience import Experience
     from workers.evaluation_session import EvaluationSession
     from workers.keeping import SessionKeeper
     from workers.learner_session import LearnerSession
@@ -113,6 +117,8 @@ class Worker:
         self._peers: dict[str, PeerCritics] = {}
         self._remote: dict[str, QueryPeers | ReplicaPeers] = {}
         self._own_critics: dict[str, CriticValues] = {}
+        self._own_experience: dict[str, Experience] = {}
+        self._peer_experience: PeerExperience | None = None
         self._evaluation: EvaluationSession | None = None
         self._waiting: dict[str, WaitingLease] = {}
         self._loader = Loader(options.role)
@@ -211,6 +217,8 @@ class Worker:
 
     def _learn(self) -> bool:
         """One roll-out of every learner that can start; False if none can."""
+        if self._peer_experience is not None:
+            self._peer_experience.pull()
         trained = [session.iterate(self._peers[pid]) for pid, session in self._sessions.items()]
         return any(trained)
 
@@ -251,9 +259,10 @@ class Worker:
         if session is None:
             return
         session.take_reply(envelope)
-        if reply.pid in self._remote:
-            elsewhere = {pid: peer for pid, peer in session.peers.items() if pid not in self._own_critics}
-            self._remote[reply.pid].set_peers(elsewhere)
+        elsewhere = {pid: peer for pid, peer in session.peers.items() if pid not in self._own_critics}
+        for asker in (self._remote.get(reply.pid), self._peer_experience):
+            if asker is not None:
+                asker.set_peers(elsewhere)
         self._critics.allow(peer.key for held in self._sessions.values() for peer in held.peers.values())
 
     def _poll_evaluation(self, now: float) -> None:
@@ -298,7 +307,8 @@ class Worker:
             self._sessions[pid] = session
             self._own_critics[pid] = session.learner.critic_values
             self._peers[pid] = self._peers_of(session)
-            self._critics.serve(pid, session.learner.published)
+            self._share_experience(session)
+            self._critics.serve(pid, session.learner.published, session.learner.experience)
         self._waiting.clear()
 
     def _send_heartbeats(self, now: float) -> None:
@@ -320,6 +330,18 @@ class Worker:
         remote = self._remote[session.pid] = self._remote_peers(session)
         return MixedPeers(self._own_critics, near, remote)
 
+    def _share_experience(self, session: LearnerSession) -> None:
+        """Let it learn from all that the others have lived through, in this process and elsewhere."""
+        learner = session.learner
+        if learner.experience is None or not learner.peer_steps:
+            return
+        self._own_experience[session.pid] = learner.experience
+        if self._peer_experience is None:
+            make = partial(learner.experience.alike, learner.peer_steps)
+            sender, letters = f"{self._options.instance}/experience", session.letters
+            self._peer_experience = PeerExperience(self._context, sender, make, letters, self._keys)
+        learner.learn_from(ChainMap(self._own_experience, self._peer_experience.copies))
+
     def _remote_peers(self, session: LearnerSession) -> QueryPeers | ReplicaPeers:
         learner, sender = session.learner, f"{self._options.instance}/{session.pid}"
         if session.intervention == "replica":
@@ -331,6 +353,7 @@ class Worker:
         self._sessions.pop(pid, None)
         self._peers.pop(pid, None)
         self._own_critics.pop(pid, None)
+        self._own_experience.pop(pid, None)
         remote = self._remote.pop(pid, None)
         if remote is not None:
             remote.close()
@@ -344,6 +367,8 @@ class Worker:
 
     def _close(self) -> None:
         self._give_back()
+        if self._peer_experience is not None:
+            self._peer_experience.close()
         self._critics.close()
         self._handshakes.close()
         self._control.close(200)

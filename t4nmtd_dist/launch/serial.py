@@ -44,6 +44,11 @@ class SerialRun:
         torch.set_num_threads(1)
         self.coordinator = CoordinatorState(self.task, self.settings)
         self.sessions = {pid: self._begin(pid) for pid in self.task.decomposition.pids}
+        experiences = {
+            pid: s.learner.experience for pid, s in self.sessions.items() if s.learner.experience is not None
+        }
+        for session in self.sessions.values():
+            session.learner.learn_from(experiences)
         self.evaluator = EvaluationSession(self._claim(Claim(role="evaluator", instance="serial"))[0])
         self.peers: dict[str, PeerCritics] = {pid: self._peers(pid) for pid in self.sessions}
         self.notes: list[Action] = []

@@ -64,8 +64,9 @@ def build_learner(
 
     delta = task.dfa.delta
     return SACLearner(
-        pid, attempts, tables, delta, settings, config.sac, high_level, bounds=bounds, seed=seed, device=device
-    )
+        pid, attempts, tables, delta, settings, config.sac, high_level,
+        bounds=bounds, seed=seed, peers=len(task.decomposition.pids) - 1, device=device,
+    )  # fmt: skip
 
 
 def _attempts(

@@ -2,11 +2,13 @@
 
 A row holds what the world did: <s, a, letter, s'>. What that means for the task (q', reward, boundary) follows from
 the DFA state in which one reads it, so it is computed when a batch is drawn, never stored. An experience thus serves
-every DFA state in which the sub-task has a transition, and no reward is guessed.
+every DFA state in which the sub-task has a transition, and no reward is guessed. It serves the sub-tasks of peers
+likewise (docs/decisions/016): ``since`` hands rows out, ``extend`` takes those of another learner in.
 """
 
 from __future__ import annotations
 
+import threading
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
@@ -21,6 +23,7 @@ from t4nmtd_dist.worlds import Observations
 Flags = NDArray[np.bool_]
 Indices = NDArray[np.int64]
 BEFORE_SUCCESS = 60
+SHARED = ("observations", "next_observations", "actions", "letters", "terminated", "ended")
 
 
 @dataclass(frozen=True)
@@ -93,7 +96,7 @@ class Experience:
     """
 
     def __init__(self, steps: int, count: int, observation_size: int, action_size: int) -> None:
-        self._steps, self._count = steps, count
+        self.steps, self._count = steps, count
         rows = steps * count
         self.observations = np.zeros((rows, observation_size), np.float32)
         self.next_observations = np.zeros((rows, observation_size), np.float32)
@@ -105,9 +108,19 @@ class Experience:
         self._written = 0
         self._began = np.zeros(count, np.int64)  # the step in which the attempt of every copy began
         self._before_success = RowSet(rows)
+        self._lock = threading.Lock()  # of what a thread that calls ``since`` reads
 
     def __len__(self) -> int:
-        return min(self._written, self._steps) * self._count
+        return min(self._written, self.steps) * self._count
+
+    def alike(self, steps: int) -> Experience:
+        """An empty one for rows of the same shapes."""
+        return Experience(steps, self._count, self.observations.shape[1], self.actions.shape[1])
+
+    @property
+    def written(self) -> int:
+        """Steps stored so far, those included that the ring has dropped."""
+        return self._written
 
     def add(
         self,
@@ -124,21 +137,64 @@ class Experience:
 
         ``ended`` says that the copy's next step belongs to another attempt, ``reached`` that the attempt succeeded.
         """
-        rows = (self._written % self._steps) * self._count + np.arange(self._count)
+        rows = self._rows(self._written, 1)[0]
         self._before_success.discard(rows)
-        self.observations[rows], self.next_observations[rows] = observations, next_observations
-        self.actions[rows], self.q[rows], self.letters[rows] = actions, q, letters
-        self.terminated[rows], self.ended[rows] = terminated, ended
+        with self._lock:
+            self.observations[rows], self.next_observations[rows] = observations, next_observations
+            self.actions[rows], self.q[rows], self.letters[rows] = actions, q, letters
+            self.terminated[rows], self.ended[rows] = terminated, ended
+            self._written += 1
         for copy in np.flatnonzero(reached):
             self._before_success.add(self._last_rows(int(copy)))
-        self._written += 1
         self._began[ended] = self._written
 
+    def _rows(self, first: int, steps: int) -> Indices:
+        """Flat row numbers of steps [steps, N]."""
+        return ((first + np.arange(steps)) % self.steps)[:, None] * self._count + np.arange(self._count)
+
+    def since(self, step: int, most_bytes: int) -> tuple[int, dict[str, NDArray[Any]]]:
+        """Copies of the steps from number ``step`` on that are still kept; for any thread.
+
+        Args:
+            step: steps are counted from 0, those that the ring has dropped included.
+            most_bytes: of what is returned; one step it is at least.
+
+        Returns:
+            The number of the first, and the columns named in ``SHARED`` [T, N, ...]; T is 0 if there is none yet.
+        """
+        with self._lock:
+            first = min(max(step, self._written - self.steps, 0), self._written)
+            columns = self._shared()
+            size = sum(column[: self._count].nbytes for column in columns.values())
+            rows = self._rows(first, min(self._written - first, max(1, most_bytes // size)))
+            return first, {name: column[rows] for name, column in columns.items()}
+
+    def extend(self, columns: Mapping[str, NDArray[Any]], *, follows: bool) -> None:
+        """Store steps of another learner, of which the DFA state and the successes are not told.
+
+        Args:
+            columns: as from ``since`` of an experience of the same shapes.
+            follows: they come right after those stored last; otherwise all attempts count as ended in between.
+        """
+        steps = min(len(columns["letters"]), self.steps)
+        rows = self._rows(self._written, steps)
+        self._before_success.discard(rows.ravel())
+        with self._lock:
+            if not follows and self._written:
+                self.ended[self._rows(self._written - 1, 1)] = True
+            for name, column in self._shared().items():
+                column[rows] = columns[name][len(columns[name]) - steps :]
+            self._written += steps
+        self._began[:] = self._written
+
+    def _shared(self) -> dict[str, NDArray[Any]]:
+        return {name: getattr(self, name) for name in SHARED}
+
     def _last_rows(self, copy: int) -> Indices:
-        """Rows of the last steps of the attempt of ``copy``, the one being written included."""
-        now = self._written
-        first = max(int(self._began[copy]), now - min(BEFORE_SUCCESS, self._steps) + 1)
-        return (np.arange(first, now + 1) % self._steps) * self._count + copy
+        """Rows of the last steps of the attempt of ``copy``, the one written last included."""
+        now = self._written - 1
+        first = max(int(self._began[copy]), now - min(BEFORE_SUCCESS, self.steps) + 1)
+        return (np.arange(first, now + 1) % self.steps) * self._count + copy
 
     def sample(self, size: int, success_share: float, rng: np.random.Generator) -> Indices:
         """Row numbers [size]: first a share from the steps before successes, if there are any, the rest uniform."""
@@ -159,7 +215,7 @@ class Experience:
         reward, discount = np.zeros(size), np.ones(size)
         last, q_next = rows.copy(), q.astype(np.int32)
         going = np.ones(size, np.bool_)
-        newest = ((self._written - 1) % self._steps) * self._count
+        newest = ((self._written - 1) % self.steps) * self._count
         row = rows.copy()
         for _ in range(n):
             reached = delta[q, self.letters[row]]
@@ -187,7 +243,7 @@ class Experience:
         Raises:
             RunError: if it is of a replay of another capacity, another number of copies or other shapes.
         """
-        filled = min(int(state["written"]), self._steps) * self._count
+        filled = min(int(state["written"]), self.steps) * self._count
         shapes = {name: (filled, *column.shape[1:]) for name, column in self._columns().items()}
         for name, shape in (shapes | {"began": self._began.shape}).items():
             if state[name].shape != shape:

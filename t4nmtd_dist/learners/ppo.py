@@ -17,6 +17,7 @@ from t4nmtd_dist.config import LearnerConfig, PPOConfig
 from t4nmtd_dist.devices import Device
 from t4nmtd_dist.high_level import QTable
 from t4nmtd_dist.learners.attempts import Attempts, Mask
+from t4nmtd_dist.learners.experience import Experience
 from t4nmtd_dist.learners.flat_adam import FlatAdam
 from t4nmtd_dist.learners.networks import Weights, check_finite, load_weights, mlp, product_state, weights_of
 from t4nmtd_dist.learners.peers import PeerCritics, Questions, Values
@@ -190,6 +191,8 @@ class PPOLearner:
         self._rollout = Rollout.empty(ppo.rollout, count, observation_size + dfa_states, observation_size)
         self.published = PublishedCritic(self.network.critic, observation_size, dfa_states)
         self.value_shape: tuple[int, ...] = ()
+        self.experience = None
+        self.peer_steps = self.peer_rows = 0
         self.gradient_steps = 0
         self.version = 0
         self._last_losses: tuple[Tensor, Tensor] | None = None
@@ -217,6 +220,9 @@ class PPOLearner:
         """A critic of the same shape, to be loaded with the weights of a peer."""
         size = self.attempts.observations.shape[1]
         return PublishedCritic(self.network.critic, size, self._dfa_states)
+
+    def learn_from(self, others: Mapping[str, Experience]) -> None:
+        """Do nothing: PPO learns from fresh experience of its own policy only."""
 
     def weights(self) -> Weights:
         """Copies of all parameters by name."""

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from t4nmtd_dist.learners.attempts import Attempts
+from t4nmtd_dist.learners.experience import Experience
 from t4nmtd_dist.learners.networks import Weights
 from t4nmtd_dist.learners.peers import PeerCritics, Values
 from t4nmtd_dist.runs.state_tree import State
@@ -53,6 +54,19 @@ class Learner(Protocol):
     version: int
     gradient_steps: int
     value_shape: tuple[int, ...]
+    peer_steps: int
+    """How many steps of each peer in another process are worth keeping; 0 where peers' experience is not used."""
+
+    @property
+    def experience(self) -> Experience | None:
+        """What it has lived through, for peers to learn from as well; None where nothing is kept."""
+
+    @property
+    def peer_rows(self) -> int:
+        """Experiences of peers that it can learn from now."""
+
+    def learn_from(self, others: Mapping[str, Experience]) -> None:
+        """Learn from these experiences of peers too, by pid, looked into anew at every draw; the own is left out."""
 
     @property
     def published(self) -> PublishedValues:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import itertools
 import math
 from collections import deque
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -19,7 +19,7 @@ from t4nmtd_dist.environments.action_spaces import Bounds
 from t4nmtd_dist.high_level import QTable
 from t4nmtd_dist.learners.actors import scaled
 from t4nmtd_dist.learners.attempts import Attempts
-from t4nmtd_dist.learners.experience import Experience, Returns
+from t4nmtd_dist.learners.experience import Experience
 from t4nmtd_dist.learners.exploration import HeldActionExploration, SinusoidExploration
 from t4nmtd_dist.learners.networks import Weights
 from t4nmtd_dist.learners.peers import PeerCritics, Questions, RowNumbers, Values
@@ -35,6 +35,26 @@ BATCHES_AHEAD = 16  # twice what shares a request: the other half is the time th
 
 Floats = NDArray[np.float32]
 States = NDArray[np.int32]
+
+
+@dataclass(frozen=True)
+class _Reading:
+    """Experiences read for the own sub-task; the columns of a batch."""
+
+    states: Floats
+    actions: Floats
+    rewards: Floats
+    discounts: Floats
+    next_states: Floats
+    q_next: States
+    boundary: NDArray[np.bool_]
+
+    @classmethod
+    def joined(cls, parts: Sequence[_Reading]) -> _Reading:
+        """One after the other."""
+        if len(parts) == 1:
+            return parts[0]
+        return cls(*(np.concatenate(columns) for columns in zip(*(vars(part).values() for part in parts), strict=True)))
 
 
 @dataclass(frozen=True)
@@ -97,6 +117,7 @@ class SACLearner:
         high_level: a copy of the coordinator's Q table, for E(Q, q').
         bounds: lowest and highest actions of the environment, float32 [A] each; the actor's [-1, 1] is scaled to them.
         seed: seeds networks and sampling.
+        peers: how many other sub-tasks there are.
         device: where the networks are trained; what answers peers is on the CPU.
     """
 
@@ -112,6 +133,7 @@ class SACLearner:
         *,
         bounds: Bounds,
         seed: int,
+        peers: int = 0,
         device: Device = "cpu",
     ) -> None:
         self.pid, self.attempts, self.high_level = pid, attempts, high_level
@@ -122,6 +144,9 @@ class SACLearner:
         count, self._observation_size = attempts.observations.shape
         action_size = len(self._low)
         self.experience = Experience(sac.replay_rows // count, count, self._observation_size, action_size)
+        kept_of_each = max(1, self.experience.steps // max(1, peers))  # of all peers together what the own replay holds
+        self.peer_steps = kept_of_each if sac.peer_share else 0
+        self._others: Mapping[str, Experience] = {}
         self._waves = SinusoidExploration(count, action_size, sac.wave_share, self._rng)
         self._holds = HeldActionExploration(count, action_size, sac.hold_share, self._rng)
         self._initial_alpha = sac.initial_alpha or modest_alpha(config, action_size)
@@ -155,6 +180,21 @@ class SACLearner:
         inputs, actions = self._observation_size + len(self._delta), len(self._low)
         copy = SACUpdater(inputs, actions, self.updater.settings, next(self._noise_seeds))
         return PublishedSoftCritic(copy, self._observation_size, len(self._delta))
+
+    @property
+    def peer_rows(self) -> int:
+        """See ``Learner.peer_rows``."""
+        return sum(map(len, self._peers_experience()))
+
+    def learn_from(self, others: Mapping[str, Experience]) -> None:
+        """See ``Learner.learn_from``."""
+        self._others = others
+
+    def _peers_experience(self) -> list[Experience]:
+        """What is not empty, and there is use for."""
+        if not self.peer_steps:
+            return []
+        return [experience for pid, experience in self._others.items() if pid != self.pid and len(experience)]
 
     def weights(self) -> Weights:
         """Copies of all parameters by name, and the bounds that the average actor's actions are stretched to."""
@@ -263,31 +303,62 @@ class SACLearner:
                     peers.ask(drawn.number, drawn.questions(self._observation_size))
 
     def _draw(self) -> DrawnBatch:
-        """A batch, each row read in its own DFA state or in one drawn from all of the sub-task's."""
-        sac, experience = self._sac, self.experience
-        rows = experience.sample(sac.batch, sac.success_share, self._rng)
-        q = experience.q[rows]
-        if sac.relabel_share and len(self._readable) > 1:
-            other = self._readable[self._rng.integers(len(self._readable), size=len(rows))]
-            q = np.where(self._rng.random(len(rows)) < sac.relabel_share, other, q)
-        returns = experience.returns(rows, q, self._tables, self._delta, self._config.gamma, sac.n_step)
-        asked_rows, asked_pids = self._heirs(returns)
+        """A batch, a share of it from the experience of one peer, which is as likely as its experience is long."""
+        sac, parts = self._sac, []
+        others = self._peers_experience()
+        peers_rows = round(sac.batch * sac.peer_share) if others else 0
+        if peers_rows < sac.batch:
+            parts.append(self._own_rows(sac.batch - peers_rows))
+        if peers_rows:
+            parts.append(self._peers_rows(others, peers_rows))
+        read = _Reading.joined(parts)
+        asked_rows, asked_pids = self._heirs(read)
         return DrawnBatch(
             number=self.gradient_steps + len(self._ahead),
+            states=read.states,
+            actions=read.actions,
+            rewards=read.rewards,
+            discounts=read.discounts,
+            next_states=read.next_states,
+            asked_rows=asked_rows,
+            asked_pids=asked_pids,
+            asked_q=read.q_next[asked_rows],
+        )
+
+    def _own_rows(self, size: int) -> _Reading:
+        """Own experience, each row read in its own DFA state or in one drawn from all of the sub-task's."""
+        sac, experience = self._sac, self.experience
+        rows = experience.sample(size, sac.success_share, self._rng)
+        q = experience.q[rows]
+        if sac.relabel_share and len(self._readable) > 1:
+            q = np.where(self._rng.random(size) < sac.relabel_share, self._any_state(size), q)
+        return self._read(experience, rows, q)
+
+    def _peers_rows(self, others: Sequence[Experience], size: int) -> _Reading:
+        """A peer's experience, read in DFA states of the own sub-task: those in which the peer was may not be any."""
+        lengths = np.array([len(experience) for experience in others])
+        experience = others[int(self._rng.choice(len(others), p=lengths / lengths.sum()))]
+        return self._read(experience, experience.sample(size, 0.0, self._rng), self._any_state(size))
+
+    def _any_state(self, size: int) -> States:
+        return self._readable[self._rng.integers(len(self._readable), size=size)]
+
+    def _read(self, experience: Experience, rows: RowNumbers, q: States) -> _Reading:
+        returns = experience.returns(rows, q, self._tables, self._delta, self._config.gamma, self._sac.n_step)
+        return _Reading(
             states=self._product_states(experience.observations[rows], q),
             actions=experience.actions[rows],
             rewards=(returns.reward * self._config.reward_scale).astype(np.float32),
             discounts=returns.discount.astype(np.float32),
             next_states=self._product_states(experience.next_observations[returns.last], returns.q_next),
-            asked_rows=asked_rows,
-            asked_pids=asked_pids,
-            asked_q=returns.q_next[asked_rows].astype(np.int32),
+            q_next=returns.q_next.astype(np.int32),
+            boundary=returns.boundary,
         )
 
-    def _heirs(self, returns: Returns) -> tuple[RowNumbers, tuple[str, ...]]:
+    def _heirs(self, read: _Reading) -> tuple[RowNumbers, tuple[str, ...]]:
         """The rows that hand over to another sub-task, and to which: T' ~ E(Q, q')."""
-        boundary = np.flatnonzero(returns.boundary)
-        pids = [self.high_level.choose(q, self._rng) for q in returns.q_next[boundary].tolist()]
+        boundary = np.flatnonzero(read.boundary)
+        pids = [self.high_level.choose(q, self._rng) for q in read.q_next[boundary].tolist()]
         others = [place for place, pid in enumerate(pids) if pid is not None and pid != self.pid]
         return boundary[others], tuple(str(pids[place]) for place in others)
 

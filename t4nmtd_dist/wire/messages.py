@@ -70,7 +70,10 @@ class Intervention(Message, frozen=True):
 
 
 class LearnerStats(Message, frozen=True):
-    """Cumulative counts of one learner since its lease began; the coordinator adds earlier epochs."""
+    """Cumulative counts of one learner since its lease began; the coordinator adds earlier epochs.
+
+    ``peer_rows``: experiences of peers that it can learn from now.
+    """
 
     phase: LearnerPhase = "waiting"
     interactions: int = 0
@@ -81,6 +84,7 @@ class LearnerStats(Message, frozen=True):
     episode_steps: float | None = None
     entropy: float | None = None
     value_loss: float | None = None
+    peer_rows: int = 0
     intervention: Intervention = Intervention()
 
 
@@ -200,6 +204,24 @@ class WeightsReply(Message, frozen=True, tag="weights_reply"):
     version: int
 
 
+class ExperienceRequest(Message, frozen=True, tag="experience_request"):
+    """Learner -> peer: what the learner of ``pid`` has lived through, from its step number ``step`` on."""
+
+    pid: str
+    step: int
+
+
+class ExperienceReply(Message, frozen=True, tag="experience_reply"):
+    """Peer -> learner. arrays: ``experience.*`` [T, N, ...], T steps of N copies of the world from ``first`` on.
+
+    ``first`` is above what was asked for where the peer does not keep the steps before it any more, and below after
+    the peer has begun anew; ``written`` is the number of steps that it has made.
+    """
+
+    first: int
+    written: int
+
+
 class LearnerRow(Message, frozen=True):
     """One learner on the dashboard; ``heartbeat_age_s`` None: never heard of."""
 
@@ -312,6 +334,8 @@ KINDS: dict[str, type[Message]] = {
         ValueReply,
         WeightsRequest,
         WeightsReply,
+        ExperienceRequest,
+        ExperienceReply,
         DashboardState,
     )
 }
