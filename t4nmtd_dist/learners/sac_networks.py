@@ -161,7 +161,7 @@ class Stack:
                 f"weights do not fit the network: {wrong} has shape {found.get(wrong)}, expected {expected.get(wrong)}"
             )
         for name, array in weights.items():
-            named[name].copy_(torch.from_numpy(np.asarray(array)))
+            named[name].copy_(torch.from_numpy(np.require(array, requirements="W")))  # torch warns of read-only ones
 
 
 @dataclass

@@ -93,9 +93,11 @@ class PeerExperience:
 
     def _ask(self, pid: str, line: _Line) -> None:
         self._next_id += 1
-        line.request = self._next_id
-        line.ask_at = self._clock() + ANSWER_WITHIN_S
-        send(line.socket, Envelope(ExperienceRequest(pid=pid, step=line.step), {}, self._sender, line.request))
+        request = Envelope(ExperienceRequest(pid=pid, step=line.step), {}, self._sender, self._next_id)
+        if send(line.socket, request):
+            line.request, line.ask_at = self._next_id, self._clock() + ANSWER_WITHIN_S
+        else:
+            line.ask_at = self._clock() + ASK_EVERY_S
 
     def _take(self, pid: str, line: _Line, envelope: Envelope) -> None:
         """Store an answer; one that does not fit counts as none."""
