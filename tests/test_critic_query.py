@@ -25,7 +25,6 @@ from t4nmtd_dist.wire.sockets import (
     bind,
     bound_endpoint,
     connect,
-    new_context,
     receive,
     receive_from,
     send,
@@ -38,20 +37,6 @@ NUMBERS = itertools.count()
 
 Question = tuple[int, str, NDArray[np.float32], int]
 ONE: Question = (0, "g", np.zeros(3, np.float32), 0)
-
-
-@pytest.fixture
-def context() -> Iterator[Context]:
-    made = new_context()
-    yield made
-    made.destroy(linger=0)
-
-
-@pytest.fixture
-def service(context: Context) -> Iterator[CriticService]:
-    made = CriticService(context)
-    yield made
-    made.close()
 
 
 @pytest.fixture

@@ -21,18 +21,11 @@ from t4nmtd_dist.cli.doctor import Finding, examine, findings
 from t4nmtd_dist.wire.key_folders import add_client, make_coordinator_folder, revoke
 from t4nmtd_dist.wire.keys import new_pair, write_public
 from t4nmtd_dist.wire.messages import PROTOCOL_VERSION
-from t4nmtd_dist.wire.sockets import Context, bind, bound_endpoint, new_context
+from t4nmtd_dist.wire.sockets import Context, bind, bound_endpoint
 
 WAIT_S = 2.0
 DEADLINE_S = 20.0
 FREE_PORT = "tcp://127.0.0.1:*"
-
-
-@pytest.fixture
-def context() -> Iterator[Context]:
-    made = new_context()
-    yield made
-    made.destroy(linger=0)
 
 
 @pytest.fixture(scope="module")

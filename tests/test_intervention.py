@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -47,20 +47,6 @@ WAIT_S = 20.0
 NEVER = -1  # a number that no batch has: gathering it lets time pass
 
 Floats = NDArray[np.float32]
-
-
-@pytest.fixture
-def context() -> Iterator[Context]:
-    made = new_context()
-    yield made
-    made.destroy(linger=0)
-
-
-@pytest.fixture
-def service(context: Context) -> Iterator[CriticService]:
-    made = CriticService(context)
-    yield made
-    made.close()
 
 
 def at(endpoint: str, version: int = 0, epoch: int = 1) -> Peer:

@@ -57,13 +57,6 @@ FREE_PORT = "tcp://127.0.0.1:*"
 
 
 @pytest.fixture
-def context() -> Iterator[Context]:
-    made = new_context()
-    yield made
-    made.destroy(linger=0)
-
-
-@pytest.fixture
 def folder(tmp_path: Path) -> Path:
     """A coordinator's folder with one client in ``clients/client1``."""
     make_coordinator_folder(tmp_path / "keys", clients=1)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import threading
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -22,7 +22,7 @@ from t4nmtd_dist.product import subtask_tables
 from t4nmtd_dist.wire.codec import Envelope
 from t4nmtd_dist.wire.experience_client import ANSWER_WITHIN_S, ASK_EVERY_S, PeerExperience, checked_columns
 from t4nmtd_dist.wire.messages import ExperienceReply, ExperienceRequest, Failure, Peer
-from t4nmtd_dist.wire.sockets import Context, Socket, bind, bound_endpoint, new_context, receive_from, send
+from t4nmtd_dist.wire.sockets import Context, Socket, bind, bound_endpoint, receive_from, send
 from workers.critic_service import EXPERIENCE_BYTES, CriticService
 
 SIZE, ACTIONS, LETTERS = 3, 2, 4
@@ -125,20 +125,6 @@ def test_what_another_thread_reads_is_never_half_a_step() -> None:
 
 
 # From process to process
-
-
-@pytest.fixture
-def context() -> Iterator[Context]:
-    made = new_context()
-    yield made
-    made.destroy(linger=0)
-
-
-@pytest.fixture
-def service(context: Context) -> Iterator[CriticService]:
-    made = CriticService(context)
-    yield made
-    made.close()
 
 
 class Clock:

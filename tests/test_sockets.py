@@ -51,13 +51,6 @@ DEADLINE_S = 10.0
 FREE_PORT = "tcp://127.0.0.1:*"
 
 
-@pytest.fixture
-def context() -> Iterator[Context]:
-    made = new_context()
-    yield made
-    made.destroy(linger=0)
-
-
 def answer(of: Socket) -> Message:
     """The next message, within the deadline."""
     envelope = receive(of, DEADLINE_S)
