@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -12,8 +12,8 @@ from t4nmtd_dist.learners.peers import InterventionCounts, PeerValues, Questions
 from t4nmtd_dist.wire.codec import Envelope
 from t4nmtd_dist.wire.keys import ClientKeys
 from t4nmtd_dist.wire.messages import Peer, ValueReply, ValueRequest
-from t4nmtd_dist.wire.peer_lines import PeerLines, arrived
-from t4nmtd_dist.wire.sockets import Context, Socket, send
+from t4nmtd_dist.wire.peer_lines import PeerClient, arrived
+from t4nmtd_dist.wire.sockets import Context, Socket
 
 ROWS_PER_REQUEST = 128
 GATHERINGS_PER_REQUEST = 8
@@ -80,7 +80,7 @@ class _Line:
         return self.waited >= GATHERINGS_PER_REQUEST or any(part.batch is gathered for part in self.unsent)
 
 
-class QueryPeers:
+class QueryPeers(PeerClient[_Line]):
     """Peers in other processes: requests go out ahead of the training, answers are gathered when a batch is trained.
 
     Neighbouring batches share a request: it goes out once one of them has ``ROWS_PER_REQUEST`` rows, after some
@@ -104,19 +104,10 @@ class QueryPeers:
         value_shape: tuple[int, ...] = (),
         clock: Callable[[], float] = time.monotonic,
     ) -> None:
-        self._sender, self._value_shape, self._clock = sender, value_shape, clock
-        self._connections = PeerLines(context, keys, _Line)
+        super().__init__(context, sender, keys, _Line, clock)
+        self._value_shape = value_shape
         self._batches: dict[int, _Batch] = {}
-        self._next_id = 0
         self.counts = InterventionCounts()
-
-    def set_peers(self, peers: Mapping[str, Peer]) -> None:
-        """Where peers answer now; a peer that moved is connected to anew."""
-        self._connections.set_peers(peers)
-
-    def close(self) -> None:
-        """Close all connections."""
-        self.set_peers({})
 
     def ask(self, batch: int, questions: Questions) -> None:
         """See ``PeerCritics.ask``."""
@@ -136,11 +127,11 @@ class QueryPeers:
         if not parts or (line.silent and self._clock() < line.probe_at):
             return
         line.probe_at = self._clock() + PROBE_EVERY_S
-        self._next_id += 1
         asked = together([part.questions for part in parts])[pid]
         arrays = {"observation": asked.observations, "q": np.asarray(asked.q, np.int32)}
-        if send(line.socket, Envelope(ValueRequest(pid=pid), arrays, self._sender, self._next_id)):
-            line.in_flight[self._next_id] = parts
+        number = self._send(line, ValueRequest(pid=pid), arrays)
+        if number:
+            line.in_flight[number] = parts
             for part in parts:
                 part.batch.outstanding += len(part.questions)
 

@@ -14,8 +14,8 @@ from t4nmtd_dist.errors import ProtocolError
 from t4nmtd_dist.wire.codec import Envelope, without_prefix
 from t4nmtd_dist.wire.keys import ClientKeys
 from t4nmtd_dist.wire.messages import ExperienceReply, ExperienceRequest, Peer
-from t4nmtd_dist.wire.peer_lines import PeerLines, arrived
-from t4nmtd_dist.wire.sockets import Context, Socket, send
+from t4nmtd_dist.wire.peer_lines import PeerClient, arrived
+from t4nmtd_dist.wire.sockets import Context, Socket
 
 if TYPE_CHECKING:
     from t4nmtd_dist.learners.experience import Experience
@@ -42,7 +42,7 @@ class _Line:
     ask_at: float = 0.0
 
 
-class PeerExperience:
+class PeerExperience(PeerClient[_Line]):
     """Pulls what peers have lived through since the last time; never waits.
 
     What is here of a peer that moves or goes away stays; a peer that is back tells everything again.
@@ -68,18 +68,9 @@ class PeerExperience:
         keys: ClientKeys | None = None,
         clock: Callable[[], float] = time.monotonic,
     ) -> None:
-        self._sender, self._make, self._letters, self._clock = sender, make, letters, clock
-        self._connections = PeerLines(context, keys, _Line)
-        self._next_id = 0
+        super().__init__(context, sender, keys, _Line, clock)
+        self._make, self._letters = make, letters
         self.copies: dict[str, Experience] = {}
-
-    def set_peers(self, peers: Mapping[str, Peer]) -> None:
-        """Where peers answer now."""
-        self._connections.set_peers(peers)
-
-    def close(self) -> None:
-        """Close all connections."""
-        self.set_peers({})
 
     def pull(self) -> None:
         """Take what has come, and ask for more of those that are due: soon, where not all fitted into an answer."""
@@ -92,12 +83,8 @@ class PeerExperience:
                 self._ask(pid, line)
 
     def _ask(self, pid: str, line: _Line) -> None:
-        self._next_id += 1
-        request = Envelope(ExperienceRequest(pid=pid, step=line.step), {}, self._sender, self._next_id)
-        if send(line.socket, request):
-            line.request, line.ask_at = self._next_id, self._clock() + ANSWER_WITHIN_S
-        else:
-            line.ask_at = self._clock() + ASK_EVERY_S
+        line.request = self._send(line, ExperienceRequest(pid=pid, step=line.step))
+        line.ask_at = self._clock() + (ANSWER_WITHIN_S if line.request else ASK_EVERY_S)
 
     def _take(self, pid: str, line: _Line, envelope: Envelope) -> None:
         """Store an answer; one that does not fit counts as none."""

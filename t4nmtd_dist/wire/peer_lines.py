@@ -1,4 +1,4 @@
-"""Connections to the critics of peers in other processes, as the coordinator tells where they are."""
+"""Connections to peers in other processes, as the coordinator tells where they are."""
 
 from __future__ import annotations
 
@@ -10,10 +10,10 @@ from typing import Generic, Protocol, TypeVar
 import zmq
 
 from t4nmtd_dist.errors import ConfigError, ProtocolError
-from t4nmtd_dist.wire.codec import Envelope, decode
+from t4nmtd_dist.wire.codec import Arrays, Envelope, decode
 from t4nmtd_dist.wire.keys import ClientKeys
-from t4nmtd_dist.wire.messages import Peer
-from t4nmtd_dist.wire.sockets import Context, Socket, connect
+from t4nmtd_dist.wire.messages import Message, Peer
+from t4nmtd_dist.wire.sockets import Context, Socket, connect, send
 
 HANDSHAKE_MS = 2000  # a peer that does not know of us yet stays silent; ask again then
 
@@ -65,6 +65,44 @@ class PeerLines(Generic[LineT]):
         if not peer.key:
             raise ConfigError("a peer without a key is not asked while this worker has keys")
         return connect(self.context, peer.endpoint, self.keys.to(peer.key), handshake_ms=HANDSHAKE_MS)
+
+
+class PeerClient(Generic[LineT]):
+    """What all have in common that ask peers in other processes.
+
+    Args:
+        context: the process's ZeroMQ context.
+        sender: the name that requests carry.
+        keys: this worker's own, if the coordinator has keys; each peer's public key comes with its address.
+        make: a line from a peer and the socket connected to it.
+        clock: seconds that only grow.
+    """
+
+    def __init__(
+        self,
+        context: Context,
+        sender: str,
+        keys: ClientKeys | None,
+        make: Callable[[Peer, Socket], LineT],
+        clock: Callable[[], float],
+    ) -> None:
+        self._sender, self._clock = sender, clock
+        self._connections = PeerLines(context, keys, make)
+        self._next_id = 0
+
+    def set_peers(self, peers: Mapping[str, Peer]) -> None:
+        """Where peers answer now; a peer that moved is connected to anew."""
+        self._connections.set_peers(peers)
+
+    def close(self) -> None:
+        """Close all connections."""
+        self.set_peers({})
+
+    def _send(self, line: LineT, message: Message, arrays: Arrays | None = None) -> int:
+        """Send a request; its number, or 0 if it cannot be sent now."""
+        self._next_id += 1
+        sent = send(line.socket, Envelope(message, arrays or {}, self._sender, self._next_id))
+        return self._next_id if sent else 0
 
 
 def arrived(socket: Socket, patience_s: float = 0.0) -> Iterator[Envelope]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
@@ -11,11 +11,11 @@ import numpy as np
 
 from t4nmtd_dist.errors import PolicyError, ProtocolError
 from t4nmtd_dist.learners.peers import InterventionCounts, PeerValues, Questions, together
-from t4nmtd_dist.wire.codec import Envelope, without_prefix
+from t4nmtd_dist.wire.codec import without_prefix
 from t4nmtd_dist.wire.keys import ClientKeys
 from t4nmtd_dist.wire.messages import Peer, WeightsReply, WeightsRequest
-from t4nmtd_dist.wire.peer_lines import PeerLines, arrived
-from t4nmtd_dist.wire.sockets import Context, Socket, send
+from t4nmtd_dist.wire.peer_lines import PeerClient, arrived
+from t4nmtd_dist.wire.sockets import Context, Socket
 
 if TYPE_CHECKING:
     from t4nmtd_dist.learners.protocol import PublishedValues
@@ -59,12 +59,13 @@ class _Batch:
     answers: list[tuple[PeerValues, int]] = field(default_factory=list)
 
 
-class ReplicaPeers:
+class ReplicaPeers(PeerClient[_Line]):
     """Peers in other processes whose networks are evaluated here.
 
     A peer's weights are pulled only while somebody asks for its values, every two seconds at most, and only if the
     coordinator knows of a newer version. All batches that have been asked for are evaluated in one call per peer, when
-    the first of them is gathered. Rows of a peer whose weights have not come yet fall back to the own critic.
+    the first of them is gathered. Rows of a peer whose weights have not come yet fall back to the own critic. The copy
+    of a peer that moved is dropped.
 
     Args:
         context: the process's ZeroMQ context.
@@ -82,19 +83,10 @@ class ReplicaPeers:
         keys: ClientKeys | None = None,
         clock: Callable[[], float] = time.monotonic,
     ) -> None:
-        self._sender, self._make, self._clock = sender, make, clock
-        self._connections = PeerLines(context, keys, _Line)
+        super().__init__(context, sender, keys, _Line, clock)
+        self._make = make
         self._batches: dict[int, _Batch] = {}
-        self._next_id = 0
         self.counts = InterventionCounts()
-
-    def set_peers(self, peers: Mapping[str, Peer]) -> None:
-        """Where peers answer now; the copy of a peer that moved is dropped."""
-        self._connections.set_peers(peers)
-
-    def close(self) -> None:
-        """Close all connections."""
-        self.set_peers({})
 
     def ask(self, batch: int, questions: Questions) -> None:
         """See ``PeerCritics.ask``."""
@@ -112,9 +104,7 @@ class ReplicaPeers:
             return
         known = line.version if line.epoch == line.peer.epoch else NO_VERSION
         if line.copy is None or line.peer.version > known:
-            self._next_id += 1
-            request = WeightsRequest(pid=pid, newer_than=known)
-            send(line.socket, Envelope(request, {}, self._sender, self._next_id))
+            self._send(line, WeightsRequest(pid=pid, newer_than=known))
         line.pull_at = self._clock() + (FIRST_PULL_EVERY_S if line.copy is None else PULL_EVERY_S)
 
     def _take(self, line: _Line) -> None:
