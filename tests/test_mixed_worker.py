@@ -7,14 +7,18 @@ import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
+from typing import cast
 
 import pytest
+from small_sac import small_sac_task
 from small_tasks import START, TO_PASSENGER_2, small_task, snapshot_after
 
 from coordinator.doors import Access
 from coordinator.service import CoordinatorService
 from coordinator.state import CoordinatorState, RunSettings
-from t4nmtd_dist.learners.peers import LocalPeers, MixedPeers, PeerCritics
+from t4nmtd_dist.learners.experience import Experience
+from t4nmtd_dist.learners.peers import MixedPeers, PeerCritics
+from t4nmtd_dist.learners.sac import SACLearner
 from t4nmtd_dist.wire.critic_client import QueryPeers
 from t4nmtd_dist.wire.replica import ReplicaPeers
 from workers.worker import Worker, WorkerOptions
@@ -27,10 +31,17 @@ APART = (("p2", "p1"), ("g", "p3"))
 
 @contextmanager
 def workers(hands: tuple[tuple[str, ...], ...], intervention: str, folder: Path) -> Iterator[list[Worker]]:
-    """A coordinator in a thread, and workers whose turns the test takes; p2 often begins beside its passenger."""
+    """Workers of task 7; p2 often begins beside its passenger."""
     task = small_task(f"learner.intervention={intervention}", "learner.attempt_steps=6")
     state = CoordinatorState(task, RunSettings(seed=0, max_interactions=10**9, lease_s=1e6))
     state.records["p2"].buffer.add(START, snapshot_after(*TO_PASSENGER_2))
+    with workers_of(state, hands, folder) as made:
+        yield made
+
+
+@contextmanager
+def workers_of(state: CoordinatorState, hands: tuple[tuple[str, ...], ...], folder: Path) -> Iterator[list[Worker]]:
+    """A coordinator in a thread, and workers whose turns the test takes."""
     service = CoordinatorService(state, folder / "run", Access(FREE_PORT, FREE_PORT))
     thread = threading.Thread(target=service.serve, daemon=True)
     thread.start()
@@ -44,16 +55,19 @@ def workers(hands: tuple[tuple[str, ...], ...], intervention: str, folder: Path)
         thread.join(WAIT_S)
 
 
-def until(made: list[Worker], holds: Callable[[PeerCritics], object]) -> PeerCritics:
-    """Let the workers take turns until something holds of the peers of p2."""
+def take_turns(made: list[Worker], holds: Callable[[], object]) -> None:
+    """Let the workers take turns until something holds."""
     deadline = time.monotonic() + WAIT_S
-    while True:
+    while not holds():
         assert time.monotonic() < deadline
         for worker in made:
             worker._turn()
-        peers = made[0]._peers.get("p2")
-        if peers is not None and holds(peers):
-            return peers
+
+
+def until(made: list[Worker], holds: Callable[[PeerCritics], object]) -> PeerCritics:
+    """Let the workers take turns until something holds of the peers of p2."""
+    take_turns(made, lambda: "p2" in made[0]._peers and holds(made[0]._peers["p2"]))
+    return made[0]._peers["p2"]
 
 
 def answered_by(peers: PeerCritics, hands: tuple[tuple[str, ...], ...]) -> int:
@@ -77,13 +91,31 @@ def test_learners_of_one_worker_are_asked_directly_and_others_over_the_wire(
         assert counts.asked == counts.answered + counts.own_used
 
 
-@pytest.mark.parametrize("hands", [TOGETHER, APART], ids=["together", "apart"])
-def test_local_values_learners_elsewhere_with_the_own_critic(
+NEAR, FAR = (("g1", "g4"), ("g2", "g3")), (("g1", "g2"), ("g4", "g3"))  # g1 and g4 begin at the reset of task 6
+
+
+@pytest.mark.parametrize("hands", [NEAR, FAR], ids=["together", "apart"])
+def test_learners_learn_from_peers_of_their_worker_directly_and_from_others_over_the_wire(
     hands: tuple[tuple[str, ...], ...], tmp_path: Path
 ) -> None:
-    with workers(hands, "local", tmp_path) as made:
-        wanted = "own_used" if hands is APART else "answered"
-        peers = until(made, lambda peers: getattr(peers.counts, wanted))
-        assert isinstance(peers, LocalPeers)
-        assert peers.counts.asked == peers.counts.answered + peers.counts.own_used
-        assert made[0]._remote == {}
+    state = CoordinatorState(small_sac_task(name="task6"), RunSettings(seed=0, max_interactions=10**9, lease_s=1e6))
+
+    def others() -> dict[str, Experience]:
+        """What g1 learns from, by pid, as far as there is any."""
+        session = made[0]._sessions.get("g1")
+        found = {} if session is None else cast(SACLearner, session.learner)._others
+        return {pid: experience for pid, experience in found.items() if len(experience)}
+
+    with workers_of(state, hands, tmp_path) as made:
+        take_turns(made, lambda: "g4" in others() and state.records["g1"].total.peer_rows)
+        copies, g4 = made[0]._peer_experience, next(w._sessions["g4"].learner for w in made if "g4" in w._sessions)
+        assert copies is not None
+        assert set(copies._connections.lines) <= set(hands[1]), "there is no wire to learners of the same worker"
+        assert (others()["g4"] is g4.experience) == (hands is NEAR)
+        assert g4.experience is not None
+        assert lived(others()["g4"]) <= lived(g4.experience)
+
+
+def lived(experience: Experience) -> set[bytes]:
+    """All that was seen, each observation as bytes."""
+    return {row.tobytes() for row in experience.observations[: len(experience)]}
