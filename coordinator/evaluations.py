@@ -16,6 +16,7 @@ from t4nmtd_dist.runs.state_tree import State
 from t4nmtd_dist.wire.messages import EvaluationReport, EvaluationRow
 
 CONVERGED_LENGTH_SPREAD = 0.1
+PROCESSOR_SHARE = 0.1
 
 
 @dataclass(frozen=True)
@@ -35,12 +36,17 @@ class PolicySnapshot:
 
 @dataclass
 class EvaluationSchedule:
-    """Hands out evaluations on fresh weights and counts how many in a row were perfect."""
+    """Hands out evaluations on fresh weights and counts how many in a row were perfect.
+
+    Attributes:
+        processor_s: processor time of all evaluations.
+    """
 
     config: EvaluationConfig
     history: list[EvaluationRow] = field(default_factory=list)
     pending: PolicySnapshot | None = None
     last: PolicySnapshot | None = None
+    processor_s: float = 0.0
     _jobs: int = 0
     _handed_at: int = 0
     _handed_versions: dict[str, int] = field(default_factory=dict)
@@ -52,6 +58,7 @@ class EvaluationSchedule:
         return {
             "history": msgspec.to_builtins(self.history),
             "last": None if last is None else {each.name: getattr(last, each.name) for each in fields(last)},
+            "processor_s": self.processor_s,
             "jobs": self._jobs,
             "handed_at": self._handed_at,
             "handed_versions": self._handed_versions,
@@ -65,6 +72,7 @@ class EvaluationSchedule:
         if last is not None:
             q_table = [(q, pid, value) for q, pid, value in last["q_table"]]
             self.last = PolicySnapshot(**{**last, "q_table": q_table})
+        self.processor_s = state["processor_s"]
         self._jobs, self._handed_at, self._row_from = state["jobs"], state["handed_at"], state["row_from"]
         self._handed_versions = state["handed_versions"]
 
@@ -72,18 +80,27 @@ class EvaluationSchedule:
         """Count no evaluation so far towards those in a row: of some that followed nothing is known."""
         self._row_from = len(self.history)
 
-    def due(self, interactions: int, versions: Mapping[str, int], training: frozenset[str]) -> bool:
-        """Whether enough was learned since the last evaluation for one on fresh weights.
+    def due(self, interactions: int, versions: Mapping[str, int], training: frozenset[str], learners_s: float) -> bool:
+        """Whether enough was learned since the last evaluation for one on fresh weights, and it can be afforded.
+
+        Evaluations take no more than a tenth of the processor time of all; the first is free.
 
         Args:
             interactions: environment steps so far.
             versions: newest weights by pid.
             training: sub-tasks whose learner is alive and training; each must have newer weights.
+            learners_s: processor time of the learners.
         """
+        if self.share(learners_s) > PROCESSOR_SHARE:
+            return False
         if not versions or interactions < self._handed_at + self.config.every:
             return False
         newer = [version > self._handed_versions.get(pid, 0) for pid, version in versions.items() if pid in training]
         return any(newer) and all(newer)
+
+    def share(self, learners_s: float) -> float:
+        """Of the processor time of learners and evaluations, what evaluations took; 0 if nothing is known."""
+        return self.processor_s / max(self.processor_s + learners_s, 1e-9)
 
     def hand_out(
         self,
@@ -104,6 +121,7 @@ class EvaluationSchedule:
         if self.pending is None or report.job != self.pending.job:
             return None
         self.last, self.pending = self.pending, None
+        self.processor_s += report.processor_s
         row = EvaluationRow(
             job=report.job,
             interactions=self.last.interactions,

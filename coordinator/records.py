@@ -63,6 +63,7 @@ class LearnerRecord:
             entropy=b.entropy,
             value_loss=b.value_loss,
             peer_rows=b.peer_rows,
+            processor_s=a.processor_s + b.processor_s,
             intervention=add_interventions(a.intervention, b.intervention),
         )
 

@@ -134,6 +134,7 @@ def summary(state: CoordinatorState) -> dict[str, Any]:
         "success_rate": last.success_rate if last else 0.0,
         "episode_length": last.mean_length if last else None,
         "evaluations": len(evaluations.history),
+        "evaluations_processor_share": round(evaluations.share(state.learners_s), 4),
         "wall_s": round(state.elapsed_s, 3),
         "gradient_steps": sum(record.total.gradient_steps for record in state.records.values()),
         "intervention": {

@@ -111,6 +111,11 @@ class CoordinatorState:
         return sum(r.earlier.interactions + r.current.interactions for r in self.records.values())
 
     @property
+    def learners_s(self) -> float:
+        """Processor time of all learners."""
+        return sum(record.total.processor_s for record in self.records.values())
+
+    @property
     def phase(self) -> RunPhase:
         """Where the run stands."""
         if self.outcome is not None:
@@ -320,7 +325,7 @@ class CoordinatorState:
             text = "this evaluator's place was taken by another, or the coordinator was started again"
             return [Send(peer, Refused(reason="stale epoch", text=text, final=False), answers=answers)]
         versions = {pid: record.version for pid, record in self.records.items() if record.version}
-        if not self.evaluations.due(self.interactions, versions, self._training()):
+        if not self.evaluations.due(self.interactions, versions, self._training(), self.learners_s):
             return [Send(peer, EvaluationJob(job=0), answers=answers)]
         weights = {pid: self.records[pid].weights for pid in versions}
         snapshot = self.evaluations.hand_out(self.interactions, self.high_level.entries(), versions, weights)

@@ -5,9 +5,11 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
+import pytest
 from coordinator_events import Conversation, of
 
 from coordinator.events import Finish, RecordEvaluation, Send
+from coordinator.snapshot import summary
 from t4nmtd_dist.wire.messages import EvaluationJob, EvaluationPoll, EvaluationReport, LearnerStats, Refused
 
 
@@ -20,11 +22,11 @@ class Evaluated(Conversation):
         self.epoch = self.claim_evaluator("e").epoch
         self.steps = self.weights_version = 0
 
-    def train(self, steps: int, *, fresh: bool = True) -> None:
+    def train(self, steps: int, *, fresh: bool = True, processor_s: float = 0.0) -> None:
         self.steps += steps
         self.weights_version += fresh
         arrays = {"weights.actor.0.weight": np.full(1, self.weights_version, np.float32)} if fresh else {}
-        stats = LearnerStats(phase="training", interactions=self.steps)
+        stats = LearnerStats(phase="training", interactions=self.steps, processor_s=processor_s)
         self.sync("p1", "w", sequence=self.steps, version=self.weights_version, stats=stats, arrays=arrays)
 
     def poll(self) -> EvaluationJob:
@@ -32,7 +34,7 @@ class Evaluated(Conversation):
         assert isinstance(job, EvaluationJob)
         return job
 
-    def report(self, job: int, success: float, length: float = 20.0) -> list[Any]:
+    def report(self, job: int, success: float, length: float = 20.0, processor_s: float = 0.0) -> list[Any]:
         report = EvaluationReport(
             epoch=self.epoch,
             job=job,
@@ -42,6 +44,7 @@ class Evaluated(Conversation):
             mean_return=1.0,
             episodes=20,
             dfa_path=[0],
+            processor_s=processor_s,
         )
         return self.send("e", report)
 
@@ -62,6 +65,23 @@ def test_an_evaluation_is_due_only_after_enough_interactions_on_fresh_weights() 
     assert talk.poll().job == 0, "the same weights must not be evaluated twice"
     talk.train(1)
     assert talk.poll().job == 2
+
+
+def test_evaluations_take_at_most_a_tenth_of_the_processor_time() -> None:
+    talk = Evaluated()
+    talk.train(100)
+    first = talk.poll()
+    assert first.job == 1, "the first needs no time saved up"
+    talk.report(first.job, 0.0, processor_s=2.0)
+    talk.train(100, processor_s=17.9)
+    assert talk.poll().job == 0
+    talk.train(100, processor_s=18.1)
+    assert talk.poll().job == 2
+    assert summary(talk.state)["evaluations_processor_share"] == pytest.approx(2 / 20.1, abs=1e-4)
+    resumed = Evaluated()
+    resumed.state.evaluations.load_state(talk.state.evaluations.state())
+    resumed.train(1000, processor_s=17.9)
+    assert resumed.poll().job == 0, "what was spent before counts"
 
 
 def test_every_training_learner_must_have_fresh_weights() -> None:

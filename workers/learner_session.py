@@ -61,6 +61,7 @@ class LearnerSession:
         self.peers: dict[str, Peer] = {}
         self.intervention = task.config.learner.intervention
         self.letters = task.dfa.delta.shape[1]
+        self.processor_s = 0.0  # kept by whoever has a clock
         weights = without_prefix("weights.", arrays)
         if weights:
             self.learner.load(weights, granted.version)
@@ -210,6 +211,7 @@ class LearnerSession:
             entropy=entropy,
             value_loss=value_loss,
             peer_rows=self.learner.peer_rows,
+            processor_s=self.processor_s,
             intervention=Intervention(**asdict(self._counts)),
         )
 
@@ -231,7 +233,7 @@ class LearnerSession:
 
 def counted_since(now: LearnerStats, before: LearnerStats) -> LearnerStats:
     """``now`` with the counts of ``before`` taken off."""
-    counts = ("interactions", "gradient_steps", "attempts", "successes")
+    counts = ("interactions", "gradient_steps", "attempts", "successes", "processor_s")
     asked = {name: getattr(now.intervention, name) - getattr(before.intervention, name) for name in INTERVENTION}
     less = {name: getattr(now, name) - getattr(before, name) for name in counts}
     return msgspec.structs.replace(now, **less, intervention=Intervention(**asked))

@@ -17,6 +17,7 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+import msgspec
 from numpy.typing import NDArray
 
 from t4nmtd_dist.devices import Device
@@ -219,7 +220,11 @@ class Worker:
         """One roll-out of every learner that can start; False if none can."""
         if self._peer_experience is not None:
             self._peer_experience.pull()
-        trained = [session.iterate(self._peers[pid]) for pid, session in self._sessions.items()]
+        trained = []
+        for pid, session in self._sessions.items():
+            began = time.process_time()
+            trained.append(session.iterate(self._peers[pid]))
+            session.processor_s += time.process_time() - began
         return any(trained)
 
     def _send(self, message: Message, arrays: Mapping[str, NDArray[Any]] | None = None) -> None:
@@ -243,7 +248,9 @@ class Worker:
         if isinstance(message, SyncReply):
             self._take_reply(message, envelope)
         elif isinstance(message, EvaluationJob) and message.job and self._evaluation is not None:
-            self._send(self._evaluation.evaluate(envelope))
+            began = time.process_time()
+            report = self._evaluation.evaluate(envelope)
+            self._send(msgspec.structs.replace(report, processor_s=time.process_time() - began))
             self._poll_due = 0.0
         elif isinstance(message, EvaluationJob):
             self._poll_due = time.monotonic() + EVALUATION_POLL_S

@@ -72,7 +72,7 @@ class Intervention(Message, frozen=True):
 class LearnerStats(Message, frozen=True):
     """Cumulative counts of one learner since its lease began; the coordinator adds earlier epochs.
 
-    ``peer_rows``: experiences of peers that it can learn from now.
+    ``peer_rows``: experiences of peers that it can learn from now. ``processor_s``: what acting and learning took.
     """
 
     phase: LearnerPhase = "waiting"
@@ -85,6 +85,7 @@ class LearnerStats(Message, frozen=True):
     entropy: float | None = None
     value_loss: float | None = None
     peer_rows: int = 0
+    processor_s: float = 0.0
     intervention: Intervention = Intervention()
 
 
@@ -161,6 +162,7 @@ class EvaluationReport(Message, frozen=True, tag="evaluation_report"):
     mean_return: float
     episodes: int
     dfa_path: list[int]
+    processor_s: float = 0.0
 
 
 class Goodbye(Message, frozen=True, tag="goodbye"):
