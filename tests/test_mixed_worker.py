@@ -66,8 +66,8 @@ def take_turns(made: list[Worker], holds: Callable[[], object]) -> None:
 
 def until(made: list[Worker], holds: Callable[[PeerCritics], object]) -> PeerCritics:
     """Let the workers take turns until something holds of the peers of p2."""
-    take_turns(made, lambda: "p2" in made[0]._peers and holds(made[0]._peers["p2"]))
-    return made[0]._peers["p2"]
+    take_turns(made, lambda: "p2" in made[0]._neighbours.peers and holds(made[0]._neighbours.peers["p2"]))
+    return made[0]._neighbours.peers["p2"]
 
 
 def answered_by(peers: PeerCritics, hands: tuple[tuple[str, ...], ...]) -> int:
@@ -108,7 +108,10 @@ def test_learners_learn_from_peers_of_their_worker_directly_and_from_others_over
 
     with workers_of(state, hands, tmp_path) as made:
         take_turns(made, lambda: "g4" in others() and state.records["g1"].total.peer_rows)
-        copies, g4 = made[0]._peer_experience, next(w._sessions["g4"].learner for w in made if "g4" in w._sessions)
+        copies, g4 = (
+            made[0]._neighbours.experience,
+            next(w._sessions["g4"].learner for w in made if "g4" in w._sessions),
+        )
         assert copies is not None
         assert set(copies._connections.lines) <= set(hands[1]), "there is no wire to learners of the same worker"
         assert (others()["g4"] is g4.experience) == (hands is NEAR)

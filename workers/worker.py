@@ -10,10 +10,8 @@ import signal
 import socket as hostnames
 import sys
 import time
-from collections import ChainMap
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -22,11 +20,8 @@ from numpy.typing import NDArray
 
 from t4nmtd_dist.devices import Device
 from t4nmtd_dist.errors import ProtocolError
-from t4nmtd_dist.learners.peers import CriticValues, LocalPeers, MixedPeers, NoPeers, PeerCritics
 from t4nmtd_dist.wire.addresses import critic_endpoints
 from t4nmtd_dist.wire.codec import Envelope
-from t4nmtd_dist.wire.critic_client import QueryPeers
-from t4nmtd_dist.wire.experience_client import PeerExperience
 from t4nmtd_dist.wire.handshake import HandshakeMonitor, trouble
 from t4nmtd_dist.wire.keys import load_client
 from t4nmtd_dist.wire.messages import (
@@ -41,14 +36,13 @@ from t4nmtd_dist.wire.messages import (
     Role,
     SyncReply,
 )
-from t4nmtd_dist.wire.replica import ReplicaPeers
 from t4nmtd_dist.wire.sockets import connect, new_context, receive, send
 from workers.critic_service import CriticService
 from workers.loading import Loader, WaitingLease
+from workers.neighbours import Neighbours
 from workers.state import Action, Ask, Begin, End, Exit, GiveBack, Say, WorkerState
 
 if TYPE_CHECKING:
-    from t4nmtd_dist.learners.experience import Experience
     from workers.evaluation_session import EvaluationSession
     from workers.keeping import SessionKeeper
     from workers.learner_session import LearnerSession
@@ -115,11 +109,7 @@ class Worker:
             time.monotonic(),
         )
         self._sessions: dict[str, LearnerSession] = {}
-        self._peers: dict[str, PeerCritics] = {}
-        self._remote: dict[str, QueryPeers | ReplicaPeers] = {}
-        self._own_critics: dict[str, CriticValues] = {}
-        self._own_experience: dict[str, Experience] = {}
-        self._peer_experience: PeerExperience | None = None
+        self._neighbours = Neighbours(self._context, options.instance, self._keys)
         self._evaluation: EvaluationSession | None = None
         self._waiting: dict[str, WaitingLease] = {}
         self._loader = Loader(options.role)
@@ -218,12 +208,11 @@ class Worker:
 
     def _learn(self) -> bool:
         """One roll-out of every learner that can start; False if none can."""
-        if self._peer_experience is not None:
-            self._peer_experience.pull()
+        self._neighbours.pull_experience()
         trained = []
         for pid, session in self._sessions.items():
             began = time.process_time()
-            trained.append(session.iterate(self._peers[pid]))
+            trained.append(session.iterate(self._neighbours.peers[pid]))
             session.processor_s += time.process_time() - began
         return any(trained)
 
@@ -266,10 +255,7 @@ class Worker:
         if session is None:
             return
         session.take_reply(envelope)
-        elsewhere = {pid: peer for pid, peer in session.peers.items() if pid not in self._own_critics}
-        for asker in (self._remote.get(reply.pid), self._peer_experience):
-            if asker is not None:
-                asker.set_peers(elsewhere)
+        self._neighbours.locate(session)
         self._critics.allow(peer.key for held in self._sessions.values() for peer in held.peers.values())
 
     def _poll_evaluation(self, now: float) -> None:
@@ -312,9 +298,7 @@ class Worker:
             if self._keeper is not None:
                 self._keeper.go_on(session, lease.granted, lease.arrays)
             self._sessions[pid] = session
-            self._own_critics[pid] = session.learner.critic_values
-            self._peers[pid] = self._peers_of(session)
-            self._share_experience(session)
+            self._neighbours.join(session)
             self._critics.serve(pid, session.learner.published, session.learner.experience)
         self._waiting.clear()
 
@@ -327,43 +311,10 @@ class Worker:
             if lease.granted.role == "learner":
                 self._send(lease.heartbeat())
 
-    def _peers_of(self, session: LearnerSession) -> PeerCritics:
-        """Peers in this process are evaluated directly, whatever the way to the others."""
-        if session.intervention == "off":
-            return NoPeers()
-        near = LocalPeers(self._own_critics)
-        if session.intervention == "local":
-            return near
-        remote = self._remote[session.pid] = self._remote_peers(session)
-        return MixedPeers(self._own_critics, near, remote)
-
-    def _share_experience(self, session: LearnerSession) -> None:
-        """Let it learn from all that the others have lived through, in this process and elsewhere."""
-        learner = session.learner
-        if learner.experience is None or not learner.peer_steps:
-            return
-        self._own_experience[session.pid] = learner.experience
-        if self._peer_experience is None:
-            make = partial(learner.experience.alike, learner.peer_steps)
-            sender, letters = f"{self._options.instance}/experience", session.letters
-            self._peer_experience = PeerExperience(self._context, sender, make, letters, self._keys)
-        learner.learn_from(ChainMap(self._own_experience, self._peer_experience.copies))
-
-    def _remote_peers(self, session: LearnerSession) -> QueryPeers | ReplicaPeers:
-        learner, sender = session.learner, f"{self._options.instance}/{session.pid}"
-        if session.intervention == "replica":
-            return ReplicaPeers(self._context, sender, learner.replica, self._keys)
-        return QueryPeers(self._context, sender, self._keys, learner.value_shape)
-
     def _end(self, pid: str) -> None:
         self._waiting.pop(pid, None)
         self._sessions.pop(pid, None)
-        self._peers.pop(pid, None)
-        self._own_critics.pop(pid, None)
-        self._own_experience.pop(pid, None)
-        remote = self._remote.pop(pid, None)
-        if remote is not None:
-            remote.close()
+        self._neighbours.leave(pid)
 
     def _give_back(self) -> None:
         epochs = {pid: session.epoch for pid, session in self._sessions.items()}
@@ -374,8 +325,7 @@ class Worker:
 
     def _close(self) -> None:
         self._give_back()
-        if self._peer_experience is not None:
-            self._peer_experience.close()
+        self._neighbours.close()
         self._critics.close()
         self._handshakes.close()
         self._control.close(200)
