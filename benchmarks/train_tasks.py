@@ -9,7 +9,8 @@ on. The small files behind the table (summary, settings, evaluations, at most 20
 copied to benchmarks/results/TASK-sSEED, the policy of every task's lowest solved seed to benchmarks/policies/TASK.
 
 In the table, the means of interactions, wall-clock time, updates and length are of the solved runs; those of success,
-perturbed success and the own critic's share are of all runs.
+perturbed success and the own critic's share are of all runs. "of paper's" is the share of the interactions that the
+paper reports.
 """
 
 from __future__ import annotations
@@ -34,8 +35,14 @@ MOST_POLICY_BYTES = 2_000_000
 EPISODES = 100
 PERTURB = 20
 COLUMNS = (
-    "task", "seed", "solved", "interactions", "wall s", "updates", "length", "success", "perturbed", "own critic used",
+    "task", "seed", "solved", "interactions", "of paper's", "wall s", "updates", "length", "success", "perturbed",
+    "own critic used",
 )  # fmt: skip
+PAPER = {
+    "task1": 0.8e6, "task2": 1.5e6, "task3": 1.3e6, "task4": 1.5e6,
+    "task5": 1.1e6, "task6": 2.5e6, "task7": 4.4e6, "task8": 4.9e6,
+}  # fmt: skip
+"""Mean interactions that the paper reports."""
 
 
 # Runs
@@ -178,10 +185,12 @@ def table(rows: Sequence[Row]) -> Iterator[str]:
 
 def _line(task: str, seed: str, solved: str, reached: Sequence[Row], runs: Sequence[Row]) -> str:
     """A line of means: of ``reached`` what is counted until the end of a run, of ``runs`` the rest."""
-    cells = [task, seed, solved, "-", "-", "-", "-"]
+    cells = [task, seed, solved, "-", "-", "-", "-", "-"]
     if reached:
+        interactions = statistics.mean(row.interactions for row in reached)
         cells[3:] = [
-            f"{statistics.mean(row.interactions for row in reached):,.0f}",
+            f"{interactions:,.0f}",
+            f"{interactions / PAPER[task]:.1%}" if task in PAPER else "-",
             f"{statistics.mean(row.wall_s for row in reached):.0f}",
             f"{statistics.mean(row.updates for row in reached):,.0f}",
             f"{statistics.mean(row.length for row in reached):.0f}",

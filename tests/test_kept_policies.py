@@ -175,17 +175,27 @@ def test_the_table_is_made_from_what_is_kept(train_tasks: ModuleType, tmp_path: 
         kept(train_tasks, tmp_path, seed, solved=solved)
     _, _, *lines = train_tasks.table(train_tasks.read_rows(tmp_path))
     assert lines == [
-        "| task9 | 2 | yes | 2,000 | 62 | 500 | 12 | 100% | 100% | 2.0% |",
-        "| task9 | 4 | yes | 4,000 | 64 | 500 | 14 | 100% | 100% | 4.0% |",
-        "| task9 | 12 | no | 12,000 | 72 | 500 | 22 | 100% | 100% | 12.0% |",
-        "| task9 | mean | 2 of 3 | 3,000 | 63 | 500 | 13 | 100% | 100% | 6.0% |",
+        "| task9 | 2 | yes | 2,000 | - | 62 | 500 | 12 | 100% | 100% | 2.0% |",
+        "| task9 | 4 | yes | 4,000 | - | 64 | 500 | 14 | 100% | 100% | 4.0% |",
+        "| task9 | 12 | no | 12,000 | - | 72 | 500 | 22 | 100% | 100% | 12.0% |",
+        "| task9 | mean | 2 of 3 | 3,000 | - | 63 | 500 | 13 | 100% | 100% | 6.0% |",
     ]
+
+
+def test_interactions_are_compared_to_the_papers(
+    train_tasks: ModuleType, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setitem(train_tasks.PAPER, "task9", 8000.0)
+    kept(train_tasks, tmp_path, 1)
+    kept(train_tasks, tmp_path, 2)
+    shares = [line.split(" | ")[4] for line in train_tasks.table(train_tasks.read_rows(tmp_path))]
+    assert shares[2:] == ["12.5%", "25.0%", "18.8%"]
 
 
 def test_a_task_that_no_run_solved_has_no_mean_count(train_tasks: ModuleType, tmp_path: Path) -> None:
     kept(train_tasks, tmp_path, 1, solved=False)
     *_, mean = train_tasks.table(train_tasks.read_rows(tmp_path))
-    assert mean == "| task9 | mean | 0 of 1 | - | - | - | - | 100% | 100% | 1.0% |"
+    assert mean == "| task9 | mean | 0 of 1 | - | - | - | - | - | 100% | 100% | 1.0% |"
 
 
 def test_the_table_of_the_repository_has_every_result() -> None:
