@@ -147,6 +147,8 @@ class SACConfig:
         wave_share: share of the attempts of a learner without success that are driven by sinusoids.
         hold_share: share of the attempts of a learner without success in which random actions interrupt the policy,
             each held for some steps.
+        learning_rate_decay: share of the learning rate that is gone once every attempt succeeds; it goes with the
+            square of the share of attempts that do.
         initial_alpha: entropy coefficient at the start, tuned from there; 0 for the one with which acting at random
             for ever is worth as much as one target.
         alpha_floor: share of ``initial_alpha`` below which that of a learner without success does not fall; it goes
@@ -170,6 +172,7 @@ class SACConfig:
     wave_share: float = 0.25
     hold_share: float = 0.25
     learning_rate: float = 3e-4
+    learning_rate_decay: float = 0.0
     initial_alpha: float = 0.0
     alpha_floor: float = 1.0
     tau: float = 0.005
@@ -256,6 +259,7 @@ def _check_ranges(task: TaskConfig) -> None:
         "sac.alpha_floor": task.sac.alpha_floor,
         "sac.tau": task.sac.tau,
         "sac.actor_average": task.sac.actor_average,
+        "sac.learning_rate_decay": task.sac.learning_rate_decay,
         "high_level.alpha": task.high_level.alpha,
         "high_level.epsilon": task.high_level.epsilon,
     }

@@ -27,6 +27,7 @@ from small_sac import (
 
 from coordinator.state import RunSettings
 from t4nmtd_dist.launch.serial import SerialRun
+from t4nmtd_dist.learners.attempts import Attempts
 from t4nmtd_dist.learners.experience import Returns
 from t4nmtd_dist.learners.peers import NoPeers, PeerCritics
 from t4nmtd_dist.learners.sac import BATCHES_AHEAD, SACLearner
@@ -385,3 +386,19 @@ def test_the_entropy_coefficient_of_a_learner_that_fails_stays_up(success: float
         learner.iterate(NoPeers())
     expected = max(0.3 * 0.5 * share, np.exp(-20.0))
     assert np.exp(learner.weights()["log_alpha"][0]) == pytest.approx(expected, rel=0.05)
+
+
+@pytest.mark.parametrize(
+    ("decay", "success", "factor"), [(0.9, None, 1.0), (0.9, 0.5, 0.775), (0.9, 1.0, 0.1), (0.0, 1.0, 1.0)]
+)
+def test_the_learning_rate_falls_with_success(
+    decay: float, success: float | None, factor: float, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(Attempts, "recent_success", success)
+    learner = small_sac("g1", f"sac.learning_rate_decay={decay}", "sac.learning_rate=0.01")
+    while not learner.gradient_steps:
+        learner.iterate(NoPeers())
+    optimisers = learner.updater._optimisers  # type: ignore[attr-defined]
+    assert {name: each.learning_rate for name, each in optimisers.items()} == pytest.approx(
+        dict.fromkeys(("actor", "critics", "alpha"), 0.01 * factor)
+    )

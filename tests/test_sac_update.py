@@ -405,3 +405,17 @@ def test_the_entropy_coefficient_is_raised_to_a_floor_and_never_lowered(initial:
     updater = SACUpdater(3, 2, dataclasses.replace(SMALL, initial_alpha=initial), seed=0)
     updater.keep_alpha_above(floor)
     assert math.exp(updater.weights()["log_alpha"][0]) == pytest.approx(max(initial, floor), rel=1e-5)
+
+
+@given(st.floats(0.1, 1.0))
+def test_a_step_is_as_long_as_the_learning_rate_says(factor: float) -> None:
+    """Adam's first step changes every weight by the learning rate, whatever the gradient."""
+    full, less = (SACUpdater(5, 2, dataclasses.replace(SMALL, learning_rate=0.01), seed=1) for _ in range(2))
+    before, batch = full.weights(), random_batch(16, 5, 2)
+    less.scale_learning_rate(factor)
+    for updater in (full, less):
+        updater.update_with_noise(batch, np.zeros((2, 32), np.float32))
+    for name in ("critics.head.bias", "log_alpha"):  # the gradient of the actor follows the critics
+        steps = [updater.weights()[name] - before[name] for updater in (full, less)]
+        assert np.abs(steps[0]).max() > 1e-3
+        np.testing.assert_allclose(steps[1], factor * steps[0], rtol=1e-3, atol=1e-6)

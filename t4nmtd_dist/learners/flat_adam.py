@@ -30,6 +30,7 @@ class FlatAdam:
 
     Attributes:
         gradient: [P], to be filled before each ``step``.
+        learning_rate: may be changed at any time.
         steps: how many were taken.
     """
 
@@ -38,7 +39,7 @@ class FlatAdam:
     ) -> None:
         self.gradient = torch.zeros_like(parameters)
         self.steps = 0
-        self._learning_rate, self._epsilon = learning_rate, epsilon
+        self.learning_rate, self._epsilon = learning_rate, epsilon
         self._mean, self._square = torch.zeros_like(parameters), torch.zeros_like(parameters)
         flat = (parameters, self.gradient, self._mean, self._square)
         self._parts = [list(torch.split(each, list(sizes) or [len(parameters)])) for each in flat]
@@ -66,7 +67,7 @@ class FlatAdam:
             squares,
             [],
             [self._count] * len(parameters),
-            lr=self._learning_rate,
+            lr=self.learning_rate,
             beta1=BETA1,
             beta2=BETA2,
             weight_decay=0.0,

@@ -285,6 +285,9 @@ class SACLearner:
         drawn = self._ahead.popleft()
         answers = peers.gather(drawn.number)
         values, log_probs = answers.values.reshape(-1, 2).T
+        self.updater.scale_learning_rate(
+            1.0 - self._sac.learning_rate_decay * (self.attempts.recent_success or 0.0) ** 2
+        )
         self.updater.update(drawn.tensors(), PeerSoftValues(answers.rows, values, log_probs))
         self.updater.keep_alpha_above(self._alpha_floor())
         self.gradient_steps += 1

@@ -104,6 +104,9 @@ class SoftActorCritic(Protocol):
     def update_with_noise(self, batch: SACBatch, noise: Floats, peers: PeerSoftValues | None = None) -> None:
         """``update`` with given noise: standard normal [A, 2 B], for the actions in s and then for those in s'."""
 
+    def scale_learning_rate(self, factor: float) -> None:
+        """Go on with ``factor`` times the learning rate of the settings."""
+
     def keep_alpha_above(self, floor: float) -> None:
         """Raise the entropy coefficient to ``floor`` if it has fallen below."""
 

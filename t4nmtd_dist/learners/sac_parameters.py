@@ -103,6 +103,11 @@ class SACParameters:
         share = max(self.settings.actor_average, 1.0 / self._optimisers["actor"].steps)
         self._average.flat.lerp_(self._actor.flat, share)
 
+    def scale_learning_rate(self, factor: float) -> None:
+        """See ``SoftActorCritic.scale_learning_rate``."""
+        for optimiser in self._optimisers.values():
+            optimiser.learning_rate = factor * self.settings.learning_rate
+
     @torch.no_grad()
     def keep_alpha_above(self, floor: float) -> None:
         """See ``SoftActorCritic.keep_alpha_above``."""
