@@ -174,6 +174,22 @@ def test_a_peers_experience_comes_and_is_kept_up_to_date(context: Context, servi
     assert same(kept(copies.copies["g1"]), kept(learner.experience)), "a peer that is gone leaves what it told"
 
 
+def test_what_a_peer_tells_anew_does_not_go_on_from_what_it_told_before(
+    context: Context, service: CriticService
+) -> None:
+    learner, experience = small_sac("g1"), lived(4, 2, 50)
+    service.serve("g1", learner.published, experience)
+    copies = PeerExperience(context, "asker", lambda: experience.alike(50), LETTERS)
+    copies.set_peers({"g1": at(service.endpoint)})
+    follow(copies, "g1", 4)
+    copies.set_peers({})
+    copies.set_peers({"g1": at(service.endpoint)})
+    twice = kept(follow(copies, "g1", 8))
+    assert (twice["observations"][:4] == twice["observations"][4:]).all()
+    assert twice["ended"][3].all()
+    assert not kept(experience)["ended"][3].all(), "or nothing had to be changed"
+
+
 def test_much_experience_comes_in_parts(context: Context, service: CriticService) -> None:
     learner, count = small_sac("g1"), 2
     wide = Experience(3000, count, 200, ACTIONS)
@@ -197,6 +213,9 @@ def test_much_experience_comes_in_parts(context: Context, service: CriticService
     while copy.observations.max() < 1499:
         copy = follow(small, "g1", copy.written + 1)
     assert copy.written < 1000, "what would be dropped at once is not asked for"
+    kept_steps = kept_all(copy)["observations"][:, 0, 0]
+    gaps = np.flatnonzero(np.diff(kept_steps) != 1)
+    assert kept_all(copy)["ended"][gaps].all(), "returns do not reach over what is missing"
     for each in (copies, small):
         each.close()
 

@@ -31,6 +31,7 @@ class _Line:
 
     Attributes:
         step: number of the step that is asked for next.
+        stored: number of the step after the one stored last; -1 if over this connection none was.
         request: number of the request without an answer; 0 for none.
         ask_at: when to ask again.
     """
@@ -38,6 +39,7 @@ class _Line:
     peer: Peer
     socket: Socket
     step: int = 0
+    stored: int = -1
     request: int = 0
     ask_at: float = 0.0
 
@@ -101,8 +103,8 @@ class PeerExperience(PeerClient[_Line]):
             return
         steps = len(columns["letters"])
         if steps:
-            room.extend(columns, follows=reply.first == line.step)
-            self.copies[pid] = room
+            room.extend(columns, follows=reply.first == line.stored)
+            self.copies[pid], line.stored = room, reply.first + steps
         line.step = max(reply.first + steps, reply.written - room.steps)
         if steps and line.step < reply.written:
             line.ask_at = self._clock() + ASK_FOR_REST_AFTER_S
