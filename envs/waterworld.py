@@ -43,16 +43,18 @@ class WaterworldEnv(gymnasium.Env[NDArray[Any], Any]):
     after ``set_state`` in a picture, those touched there, which the first step reports once more. A world
     never terminates.
 
-    Observation ``"features"``: 126 numbers in [-1, 1] for 6 colours, 166 for 8.
+    Observation ``"features"``: 144 numbers in [-1, 1] for 6 colours, 190 for 8.
 
     - agent: position (-1 to 1), velocity (by 3.5), and per axis 1 if a wall makes the coming step ignore its
       command;
     - for each colour 1 if the coming step will report it; then for each colour 1 if the step after it will:
       both are beyond the agent's power by now;
     - for each ball, colour by colour in the order of ``propositions`` and within a colour the nearest first:
-      the command (by 3.5, clipped) that would put the agent's centre on the ball's two moves from now, which
-      is the first place the present command can reach; the offset from the agent to the ball now (by 30); and
-      the ball's velocity (by its top speed). The command touches the ball if it is off by at most 1 per axis.
+      1 if some command can touch it, and then the command (by 4.5) that would put the agent's centre on the
+      ball's two moves from now, which is the first place the present command can reach, or 0, 0; the offset
+      from the agent to the ball now (by 240); and the ball's velocity (by 8 times its top speed). A command
+      touches the ball if it is off by at most 1 per axis. The last four numbers are small so that the few
+      balls within reach are not drowned by the many that are not.
 
     Observation ``"raw"``, the authors' 76 or 100 numbers: x, y, vx, vy of each ball, then of the agent.
     """

@@ -29,7 +29,9 @@ AGENT = -1  # row
 START = (SIDE / 2, SIDE / 2, 0.0, 0.0)
 
 _AGENT_FEATURES = 6
-_BALL_FEATURES = 6
+_BALL_FEATURES = 7
+REACH = TOP_COMMAND + 2 * RADIUS  # how far, per axis, a ball can be off and yet be touched by a command
+DISTANT = 1 / 8  # how much smaller the numbers of all balls are than those of the few within reach: decision 017
 
 
 def snapshot_size(palette: Palette) -> int:
@@ -118,8 +120,9 @@ def _features(palette: Palette, states: NDArray[np.float64]) -> NDArray[np.float
     ignored = reflect(soon)[:, :, AGENT]
     later = np.clip(soon[:2, :, :AGENT] + soon[2:, :, :AGENT], 0, SIDE)
     by_ball = np.empty((_BALL_FEATURES, count, balls))
-    lead = np.subtract(later, soon[:2, :, AGENT:], out=by_ball[0:2])
-    offsets = np.subtract(states[:2, :, :AGENT], states[:2, :, AGENT:], out=by_ball[2:4])
+    within = by_ball[0]
+    lead = np.subtract(later, soon[:2, :, AGENT:], out=by_ball[1:3])
+    offsets = np.subtract(states[:2, :, :AGENT], states[:2, :, AGENT:], out=by_ball[3:5])
     order = _nearest_first(lead)
     out = np.empty((count, _AGENT_FEATURES + 2 * colours + balls * _BALL_FEATURES), np.float32)
     out[:, 0:2] = states[:2, :, AGENT].T / (SIDE / 2) - 1
@@ -128,26 +131,30 @@ def _features(palette: Palette, states: NDArray[np.float64]) -> NDArray[np.float
     out[:, 6 : 6 + colours] = _touched(offsets, colours)
     soon_offsets = soon[:2, :, :AGENT] - soon[:2, :, AGENT:]
     out[:, 6 + colours : 6 + 2 * colours] = _touched(soon_offsets, colours)
-    lead /= TOP_COMMAND
-    offsets /= SIDE
-    np.divide(states[2:, :, :AGENT], palette.top_speed, out=by_ball[4:6])
-    np.clip(lead, -1, 1, out=lead)
+    np.less_equal(_reach(lead), REACH, out=within)
+    lead *= within / REACH
+    offsets *= DISTANT / SIDE
+    np.multiply(states[2:, :, :AGENT], DISTANT / palette.top_speed, out=by_ball[5:7])
     by_row = by_ball.reshape(_BALL_FEATURES, -1).take(order, axis=1).reshape(_BALL_FEATURES, count, balls)
     out[:, 6 + 2 * colours :].reshape(count, balls, _BALL_FEATURES)[:] = by_row.transpose(1, 2, 0)
     return out
 
 
+def _reach(offsets: NDArray[np.float64]) -> NDArray[np.float64]:
+    """The larger of both coordinates of ``offsets`` (2, N, balls), without its sign: (N, balls)."""
+    reach: NDArray[np.float64] = np.maximum(np.abs(offsets[0]), np.abs(offsets[1]))
+    return reach
+
+
 def _nearest_first(offsets: NDArray[np.float64]) -> NDArray[np.intp]:
     """Flat indices (N*balls,) that put the nearest ball of each colour first, ties in map order."""
-    reach = np.maximum(np.abs(offsets[0]), np.abs(offsets[1])).reshape(-1, BALLS_PER_COLOUR)
-    order = np.argsort(reach, axis=1, kind="stable")
+    order = np.argsort(_reach(offsets).reshape(-1, BALLS_PER_COLOUR), axis=1, kind="stable")
     return (order + BALLS_PER_COLOUR * np.arange(len(order))[:, None]).ravel()
 
 
 def _touched(offsets: NDArray[np.float64], colours: int) -> NDArray[np.bool_]:
     """Which colours have a ball at ``offsets`` (2, N, balls) that touches the agent: bool (N, colours)."""
-    reach = np.maximum(np.abs(offsets[0]), np.abs(offsets[1]))
-    near = (reach <= 2 * RADIUS).reshape(-1, colours, BALLS_PER_COLOUR)
+    near = (_reach(offsets) <= 2 * RADIUS).reshape(-1, colours, BALLS_PER_COLOUR)
     touched: NDArray[np.bool_] = near[..., 0] | near[..., 1] | near[..., 2]
     return touched
 
