@@ -301,14 +301,17 @@ def test_columns_that_do_not_fit_are_refused(bad: Callable[[Columns], Columns]) 
         checked_columns(bad(good), room, LETTERS)
 
 
-def test_bad_columns_leave_what_is_there(context: Context) -> None:
-    router = bind(context, zmq.ROUTER, "tcp://127.0.0.1:*")
-    copies = PeerExperience(context, "asker", lambda: lived(0, 2, 10), LETTERS, clock=Clock(every=ASK_EVERY_S))
-    copies.set_peers({"g1": at(bound_endpoint(router))})
+def test_bad_columns_leave_what_is_there_and_are_told_of_once(context: Context) -> None:
+    router, told = bind(context, zmq.ROUTER, "tcp://127.0.0.1:*"), list[str]()
+    endpoint, clock = bound_endpoint(router), Clock(every=ASK_EVERY_S)
+    copies = PeerExperience(context, "asker", lambda: lived(0, 2, 10), LETTERS, clock=clock, tell=told.append)
+    copies.set_peers({"g1": at(endpoint)})
     good = {f"experience.{name}": column for name, column in kept(lived(3, 2, 10)).items()}
+    bad = good | {"experience.letters": np.zeros(2)}
     answers: list[tuple[Any, Columns]] = [
         (ExperienceReply(first=0, written=3), good),
-        (ExperienceReply(first=3, written=6), good | {"experience.letters": np.zeros(2)}),
+        (ExperienceReply(first=3, written=6), bad),
+        (ExperienceReply(first=3, written=6), bad),
         (Failure(text="no"), {}),
         (ExperienceReply(first=0, written=3), good),
     ]
@@ -322,6 +325,8 @@ def test_bad_columns_leave_what_is_there(context: Context) -> None:
         assert copies._connections.lines["g1"].socket.poll(int(WAIT_S * 1000))
         copies.pull()
     assert copies.copies["g1"].written == 6, "the first and the last"
+    assert [line.partition(": ")[0] for line in told] == [f"dropped what g1 at {endpoint} tells of its experience"]
+    assert "observations is float32 (3, 2, 3), expected float32 (2, 2, 3)" in told[0]
     copies.close()
 
 

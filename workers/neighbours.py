@@ -10,6 +10,7 @@ from t4nmtd_dist.learners.peers import CriticValues, LocalPeers, MixedPeers, NoP
 from t4nmtd_dist.wire.critic_client import QueryPeers
 from t4nmtd_dist.wire.experience_client import PeerExperience
 from t4nmtd_dist.wire.keys import ClientKeys
+from t4nmtd_dist.wire.notices import Tell
 from t4nmtd_dist.wire.replica import ReplicaPeers
 from t4nmtd_dist.wire.sockets import Context
 
@@ -25,14 +26,17 @@ class Neighbours:
         context: the process's ZeroMQ context.
         instance: the worker's name.
         keys: this worker's own, if the coordinator has keys.
+        tell: called with a line about trouble.
 
     Attributes:
         peers: by pid of the own learners, whom each asks.
         experience: what was pulled from other processes; None before there is a learner that wants it.
     """
 
-    def __init__(self, context: Context, instance: str, keys: ClientKeys | None) -> None:
-        self._context, self._instance, self._keys = context, instance, keys
+    def __init__(
+        self, context: Context, instance: str, keys: ClientKeys | None, tell: Tell = lambda text: None
+    ) -> None:
+        self._context, self._instance, self._keys, self._tell = context, instance, keys, tell
         self._critics: dict[str, CriticValues] = {}
         self._lived: dict[str, Experience] = {}
         self._remote: dict[str, QueryPeers | ReplicaPeers] = {}
@@ -69,7 +73,7 @@ class Neighbours:
         self._lived[session.pid] = learner.experience
         if self.experience is None:
             make, sender = partial(learner.experience.alike, learner.peer_steps), f"{self._instance}/experience"
-            self.experience = PeerExperience(self._context, sender, make, session.letters, self._keys)
+            self.experience = PeerExperience(self._context, sender, make, session.letters, self._keys, tell=self._tell)
         learner.learn_from(ChainMap(self._lived, self.experience.copies))
 
     def locate(self, session: LearnerSession) -> None:

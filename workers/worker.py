@@ -109,7 +109,7 @@ class Worker:
             time.monotonic(),
         )
         self._sessions: dict[str, LearnerSession] = {}
-        self._neighbours = Neighbours(self._context, options.instance, self._keys)
+        self._neighbours = Neighbours(self._context, options.instance, self._keys, tell=say)
         self._evaluation: EvaluationSession | None = None
         self._waiting: dict[str, WaitingLease] = {}
         self._loader = Loader(options.role)

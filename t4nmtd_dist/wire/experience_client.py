@@ -14,6 +14,7 @@ from t4nmtd_dist.errors import ProtocolError
 from t4nmtd_dist.wire.codec import Envelope, without_prefix
 from t4nmtd_dist.wire.keys import ClientKeys
 from t4nmtd_dist.wire.messages import ExperienceReply, ExperienceRequest, Peer
+from t4nmtd_dist.wire.notices import Notices, Tell
 from t4nmtd_dist.wire.peer_lines import PeerClient, arrived
 from t4nmtd_dist.wire.sockets import Context, Socket
 
@@ -56,6 +57,7 @@ class PeerExperience(PeerClient[_Line]):
         letters: how many letters the DFA reads.
         keys: this worker's own, if the coordinator has keys.
         clock: seconds that only grow.
+        tell: called with a line about an answer that does not fit.
 
     Attributes:
         copies: by pid, those of whom anything has come.
@@ -69,9 +71,11 @@ class PeerExperience(PeerClient[_Line]):
         letters: int,
         keys: ClientKeys | None = None,
         clock: Callable[[], float] = time.monotonic,
+        tell: Tell = lambda text: None,
     ) -> None:
         super().__init__(context, sender, keys, _Line, clock)
         self._make, self._letters = make, letters
+        self._notices = Notices(tell)
         self.copies: dict[str, Experience] = {}
 
     def pull(self) -> None:
@@ -89,7 +93,7 @@ class PeerExperience(PeerClient[_Line]):
         line.ask_at = self._clock() + (ANSWER_WITHIN_S if line.request else ASK_EVERY_S)
 
     def _take(self, pid: str, line: _Line, envelope: Envelope) -> None:
-        """Store an answer; one that does not fit counts as none."""
+        """Store an answer; one that does not fit is told of, and counts as none."""
         line.ask_at = self._clock() + ASK_EVERY_S
         reply = envelope.message
         if not isinstance(reply, ExperienceReply):
@@ -99,7 +103,8 @@ class PeerExperience(PeerClient[_Line]):
             room = self._make()
         try:
             columns = checked_columns(without_prefix("experience.", envelope.arrays), room, self._letters)
-        except ProtocolError:
+        except ProtocolError as error:
+            self._notices.once(f"dropped what {pid} at {line.peer.endpoint} tells of its experience: {error}")
             return
         steps = len(columns["letters"])
         if steps:
