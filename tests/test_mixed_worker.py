@@ -103,7 +103,7 @@ def test_learners_learn_from_peers_of_their_worker_directly_and_from_others_over
     def others() -> dict[str, Experience]:
         """What g1 learns from, by pid, as far as there is any."""
         session = made[0]._sessions.get("g1")
-        found = {} if session is None else cast(SACLearner, session.learner)._others
+        found = {} if session is None else cast(SACLearner, session.learner).batches.others
         return {pid: experience for pid, experience in found.items() if len(experience)}
 
     with workers_of(state, hands, tmp_path) as made:

@@ -294,7 +294,7 @@ def test_rows_whose_peer_did_not_answer_use_the_own_critic() -> None:
 
 def test_a_learner_that_hands_over_to_itself_asks_nobody() -> None:
     learner = small_sac("g1", starts=((START, AT_G1),))
-    learner.high_level.choose = lambda q, rng: "g1"  # type: ignore[method-assign]
+    learner.batches.high_level.choose = lambda q, rng: "g1"  # type: ignore[method-assign]
     peers = CheckedPeers({})
     updates = updates_of(learner, peers)
     assert sum(update.returns.boundary.sum() for update in updates) > 20
@@ -309,14 +309,14 @@ def test_a_learner_that_hands_over_to_itself_asks_nobody() -> None:
 def test_a_share_of_a_batch_is_read_in_other_states_of_the_subtask(share: float) -> None:
     """Task 6 goes through g1 in ten of its automaton's transitions."""
     learner = small_sac("g1", f"sac.relabel_share={share}", "sac.batch=64", "sac.n_step=1", name="task6")
-    available = set(np.flatnonzero(learner._tables.available).tolist())
+    available = set(np.flatnonzero(learner.batches.tables.available).tolist())
     assert len(available) > 4
     states, experience = small_sac_task(name="task6").dfa.states, learner.experience
     for _ in range(3):
         learner.iterate(NoPeers())
     read, own = [], []
     for _ in range(20):
-        batch = learner._draw()
+        batch = learner.batches.draw(0, failures=0.0)
         q = batch.states[:, -states:].argmax(1)
         observations = batch.states[:, :-states]
         rows = [int(np.flatnonzero((experience.observations == seen).all(1))[0]) for seen in observations]
@@ -334,8 +334,10 @@ def test_what_a_relabelled_row_leads_to_is_computed_from_its_letter() -> None:
     for _ in range(4):
         learner.iterate(NoPeers())
     rows = np.arange(len(experience))
-    for q in np.flatnonzero(learner._tables.available):
-        found = experience.returns(rows, np.full(len(rows), q, np.int32), learner._tables, task.dfa.delta, 0.99, 1)
+    for q in np.flatnonzero(learner.batches.tables.available):
+        found = experience.returns(
+            rows, np.full(len(rows), q, np.int32), learner.batches.tables, task.dfa.delta, 0.99, 1
+        )
         assert found.q_next.tolist() == [int(task.dfa.delta[q, letter]) for letter in experience.letters[rows]]
 
 

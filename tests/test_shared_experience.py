@@ -15,7 +15,8 @@ from numpy.typing import NDArray
 from small_sac import AT_G1, PIDS, TO_G2, small_sac, small_sac_task
 
 from t4nmtd_dist.errors import ProtocolError
-from t4nmtd_dist.learners.experience import SHARED, Experience
+from t4nmtd_dist.learners.chance_finds import ChanceFinds, target_letters
+from t4nmtd_dist.learners.experience import BEFORE_SUCCESS, SHARED, Experience
 from t4nmtd_dist.learners.peers import NoPeers
 from t4nmtd_dist.learners.sac import SACLearner
 from t4nmtd_dist.product import subtask_tables
@@ -350,7 +351,7 @@ def test_a_share_of_a_batch_is_read_from_peers(share: float) -> None:
     first, second = taught(share)
     assert first.peer_rows == (len(second.experience) if share else 0)
     theirs = {row.tobytes() for row in second.experience.actions[: len(second.experience)]}
-    drawn = first._draw()
+    drawn = first.batches.draw(0, failures=0.0)
     assert len(drawn.actions) == 16
     assert sum(row.tobytes() in theirs for row in drawn.actions) == round(16 * share)
 
@@ -365,7 +366,7 @@ def test_peers_rows_are_read_as_the_own_sub_tasks() -> None:
     size = experience.observations.shape[1]
     row_of = {row.tobytes(): number for number, row in enumerate(experience.actions[: len(experience)])}
     for _ in range(20):
-        drawn = first._draw()
+        drawn = first.batches.draw(0, failures=0.0)
         for action, state, reward, following in zip(
             drawn.actions, drawn.states, drawn.rewards, drawn.next_states, strict=True
         ):
@@ -382,7 +383,7 @@ def test_nothing_is_read_from_peers_that_have_nothing() -> None:
     first, _ = taught(0.5)
     first.learn_from({"g1": first.experience, "g2": lived(0, 2, 10)})
     assert first.peer_rows == 0
-    assert len(first._draw().actions) == 16
+    assert len(first.batches.draw(0, failures=0.0).actions) == 16
 
 
 def test_peers_are_as_likely_as_their_experience_is_long() -> None:
@@ -393,7 +394,7 @@ def test_peers_are_as_likely_as_their_experience_is_long() -> None:
     columns["observations"][:] = 7.0
     short.extend(columns, follows=True)
     first.learn_from({"g2": second.experience, "g3": short})
-    drawn = [bool((first._draw().states[:, :size] == 7.0).all()) for _ in range(600)]
+    drawn = [bool((first.batches.draw(0, failures=0.0).states[:, :size] == 7.0).all()) for _ in range(600)]
     share = len(short) / (len(short) + len(second.experience))
     assert np.mean(drawn) == pytest.approx(share, abs=4 * np.sqrt(share * (1 - share) / 600))
 
@@ -402,3 +403,76 @@ def test_all_peers_together_are_kept_as_long_as_the_own_experience() -> None:
     learner = small_sac("g1")
     assert learner.peer_steps == learner.experience.steps // (len(PIDS) - 1)
     assert small_sac("g1", "sac.peer_share=0.0").peer_steps == 0
+
+
+# What peers found by chance
+
+
+@given(
+    seed=st.integers(0, 2**32 - 1),
+    steps=st.lists(st.integers(0, 60), min_size=1, max_size=4),
+    capacity=st.integers(1, 90),
+    ended=st.sampled_from([0.0, 0.02, 0.3]),
+)
+def test_finds_are_the_rows_that_lead_to_a_letter_within_their_attempt(
+    seed: int, steps: list[int], capacity: int, ended: float
+) -> None:
+    """Looked at as the experience grows; found by going back from every row, one step after the other."""
+    rng, count, useful = np.random.default_rng(seed), 2, np.array([False, True, False, True])
+    experience, finds = Experience(capacity, count, 1, 1), ChanceFinds(useful)
+    past: list[tuple[NDArray[np.int64], NDArray[np.bool_]]] = []
+    for some in steps:
+        for _ in range(some):
+            letters, ends = (
+                np.where(rng.random(count) < 0.02, rng.integers(4, size=count), 0),
+                rng.random(count) < ended,
+            )
+            past.append((letters, ends))
+            zeros = np.zeros((count, 1), np.float32)
+            states, no = np.zeros(count, np.int32), np.zeros(count, np.bool_)
+            experience.add(zeros, states, zeros, letters, zeros, no, ends, no)
+        expected = set()
+        oldest = max(0, len(past) - capacity)
+        for copy in range(count):
+            for t in (t for t in range(oldest, len(past)) if useful[past[t][0][copy]]):
+                for s in range(t, max(oldest - 1, t - BEFORE_SUCCESS), -1):
+                    if s < t and past[s][1][copy]:
+                        break
+                    expected.add((s % capacity) * count + copy)
+        assert finds.rows(experience).tolist() == sorted(expected)
+
+
+def test_letters_of_a_target_are_those_that_some_state_takes_to_one() -> None:
+    task = small_sac_task()
+    tables = subtask_tables(task.dfa, task.decomposition, "g1", task.rho, gamma=0.98, shaping="subtask")
+    found = target_letters(tables, task.dfa.delta)
+    expected = [
+        any((q, q_next) in task.decomposition.subtasks["g1"] for q, q_next in enumerate(column))
+        for column in task.dfa.delta.T.tolist()
+    ]
+    assert found.tolist() == expected
+    assert 0 < sum(expected) < len(expected)
+
+
+@pytest.mark.parametrize(
+    ("failures", "drawn_at_least", "drawn_at_most"), [(0.0, 0.0, 0.05), (0.5, 0.2, 0.35), (1.0, 0.8, 0.95)]
+)
+def test_who_fails_reads_more_of_what_its_peers_found_by_chance(
+    failures: float, drawn_at_least: float, drawn_at_most: float
+) -> None:
+    """One letter in a hundred is g1's; its row is drawn a hundredth of the time by a learner that succeeds."""
+    first, second = taught(1.0, **{"sac.success_share": "0.9", "sac.batch": "1000"})
+    size = second.experience.observations.shape[1]
+    letter = int(np.flatnonzero(target_letters(first.batches.tables, small_sac_task().dfa.delta))[0])
+    wide = second.experience.alike(100)
+    columns = {
+        name: np.zeros((100, *column.shape[1:]), column.dtype) for name, column in kept_all(second.experience).items()
+    }
+    columns["ended"][:] = True
+    columns["letters"][50, 0] = letter
+    columns["observations"][50, 0] = 7.0
+    wide.extend(columns, follows=False)
+    first.learn_from({"g2": wide})
+    drawn = first.batches.draw(0, failures=failures)
+    share = float((drawn.states[:, :size] == 7.0).all(1).mean())
+    assert drawn_at_least <= share <= drawn_at_most

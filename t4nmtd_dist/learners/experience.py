@@ -106,7 +106,6 @@ class Experience:
         self.terminated = np.zeros(rows, np.bool_)
         self.ended = np.ones(rows, np.bool_)
         self._written = 0
-        self._began = np.zeros(count, np.int64)  # the step in which the attempt of every copy began
         self._before_success = RowSet(rows)
         self._lock = threading.Lock()  # of what a thread that calls ``since`` reads
 
@@ -137,7 +136,7 @@ class Experience:
 
         ``ended`` says that the copy's next step belongs to another attempt, ``reached`` that the attempt succeeded.
         """
-        rows = self._rows(self._written, 1)[0]
+        rows = self.rows_of(self._written, 1)[0]
         self._before_success.discard(rows)
         with self._lock:
             self.observations[rows], self.next_observations[rows] = observations, next_observations
@@ -145,10 +144,9 @@ class Experience:
             self.terminated[rows], self.ended[rows] = terminated, ended
             self._written += 1
         for copy in np.flatnonzero(reached):
-            self._before_success.add(self._last_rows(int(copy)))
-        self._began[ended] = self._written
+            self._before_success.add(self.leading_to(self._written - 1, int(copy)))
 
-    def _rows(self, first: int, steps: int) -> Indices:
+    def rows_of(self, first: int, steps: int) -> Indices:
         """Flat row numbers of steps [steps, N]."""
         return ((first + np.arange(steps)) % self.steps)[:, None] * self._count + np.arange(self._count)
 
@@ -166,7 +164,7 @@ class Experience:
             first = min(max(step, self._written - self.steps, 0), self._written)
             columns = self._shared()
             size = sum(column[: self._count].nbytes for column in columns.values())
-            rows = self._rows(first, min(self._written - first, max(1, most_bytes // size)))
+            rows = self.rows_of(first, min(self._written - first, max(1, most_bytes // size)))
             return first, {name: column[rows] for name, column in columns.items()}
 
     def extend(self, columns: Mapping[str, NDArray[Any]], *, follows: bool) -> None:
@@ -177,24 +175,24 @@ class Experience:
             follows: they come right after those stored last; otherwise all attempts count as ended in between.
         """
         steps = min(len(columns["letters"]), self.steps)
-        rows = self._rows(self._written, steps)
+        rows = self.rows_of(self._written, steps)
         self._before_success.discard(rows.ravel())
         with self._lock:
             if not follows and self._written:
-                self.ended[self._rows(self._written - 1, 1)] = True
+                self.ended[self.rows_of(self._written - 1, 1)] = True
             for name, column in self._shared().items():
                 column[rows] = columns[name][len(columns[name]) - steps :]
             self._written += steps
-        self._began[:] = self._written
 
     def _shared(self) -> dict[str, NDArray[Any]]:
         return {name: getattr(self, name) for name in SHARED}
 
-    def _last_rows(self, copy: int) -> Indices:
-        """Rows of the last steps of the attempt of ``copy``, the one written last included."""
-        now = self._written - 1
-        first = max(int(self._began[copy]), now - min(BEFORE_SUCCESS, self.steps) + 1)
-        return (np.arange(first, now + 1) % self.steps) * self._count + copy
+    def leading_to(self, step: int, copy: int) -> Indices:
+        """Rows of the last steps of an attempt up to ``step``, that one first; those dropped by the ring are not."""
+        kept = min(self._written, self.steps) - (self._written - 1 - step)
+        rows = (step - np.arange(min(BEFORE_SUCCESS, kept))) % self.steps * self._count + copy
+        earlier_attempt = np.flatnonzero(self.ended[rows[1:]])
+        return rows[: earlier_attempt[0] + 1] if len(earlier_attempt) else rows
 
     def sample(self, size: int, success_share: float, rng: np.random.Generator) -> Indices:
         """Row numbers [size]: first a share from the steps before successes, if there are any, the rest uniform."""
@@ -234,8 +232,8 @@ class Experience:
     def state(self) -> dict[str, NDArray[Any]]:
         """Everything needed to go on, as arrays; views of the filled part, to be written before the next ``add``."""
         filled = {name: column[: len(self)] for name, column in self._columns().items()}
-        counted = {"written": np.array(self._written, np.int64), "began": self._began}
-        return filled | counted | {"before_success": self._before_success.members}
+        written = np.array(self._written, np.int64)
+        return filled | {"written": written, "before_success": self._before_success.members}
 
     def load(self, state: Mapping[str, NDArray[Any]]) -> None:
         """Go on from a ``state``.
@@ -245,12 +243,12 @@ class Experience:
         """
         filled = min(int(state["written"]), self.steps) * self._count
         shapes = {name: (filled, *column.shape[1:]) for name, column in self._columns().items()}
-        for name, shape in (shapes | {"began": self._began.shape}).items():
+        for name, shape in shapes.items():
             if state[name].shape != shape:
                 raise RunError(f"replay: {name} has shape {state[name].shape}, expected {shape}")
         for name, column in self._columns().items():
             column[:filled] = state[name]
-        self._written, self._began[:] = int(state["written"]), state["began"]
+        self._written = int(state["written"])
         self._before_success = RowSet(len(self.q))
         self._before_success.add(state["before_success"])
 

@@ -5,12 +5,10 @@ from __future__ import annotations
 import itertools
 import math
 from collections import deque
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
-import torch
 from numpy.typing import NDArray
 
 from t4nmtd_dist.config import LearnerConfig, SACConfig
@@ -22,8 +20,9 @@ from t4nmtd_dist.learners.attempts import Attempts
 from t4nmtd_dist.learners.experience import Experience
 from t4nmtd_dist.learners.exploration import HeldActionExploration, SinusoidExploration
 from t4nmtd_dist.learners.networks import Weights
-from t4nmtd_dist.learners.peers import PeerCritics, Questions, RowNumbers, Values
-from t4nmtd_dist.learners.sac_interface import PeerSoftValues, SACBatch, SACSettings
+from t4nmtd_dist.learners.peers import PeerCritics, Values
+from t4nmtd_dist.learners.sac_batches import BatchSource, DrawnBatch, product_states
+from t4nmtd_dist.learners.sac_interface import PeerSoftValues, SACSettings
 from t4nmtd_dist.learners.sac_published import PublishedSoftCritic
 from t4nmtd_dist.learners.sac_torch import updater_on
 from t4nmtd_dist.learners.sac_update import SACUpdater
@@ -35,63 +34,6 @@ BATCHES_AHEAD = 16  # twice what shares a request: the other half is the time th
 
 Floats = NDArray[np.float32]
 States = NDArray[np.int32]
-
-
-@dataclass(frozen=True)
-class _Reading:
-    """Experiences read for the own sub-task; the columns of a batch."""
-
-    states: Floats
-    actions: Floats
-    rewards: Floats
-    discounts: Floats
-    next_states: Floats
-    q_next: States
-    boundary: NDArray[np.bool_]
-
-    @classmethod
-    def joined(cls, parts: Sequence[_Reading]) -> _Reading:
-        """One after the other."""
-        if len(parts) == 1:
-            return parts[0]
-        return cls(*(np.concatenate(columns) for columns in zip(*(vars(part).values() for part in parts), strict=True)))
-
-
-@dataclass(frozen=True)
-class DrawnBatch:
-    """A batch between its drawing and its training, as plain data; B rows, k of them across a boundary.
-
-    Attributes:
-        number: gradient steps that come before it.
-        states: product states [B, d + |Q|].
-        actions: [B, A].
-        rewards: scaled n-step returns [B].
-        discounts: [B].
-        next_states: product states that are bootstrapped from [B, d + |Q|].
-        asked_rows: rows whose value is a peer's [k].
-        asked_pids: of which peer [k].
-        asked_q: DFA states of these rows' next states [k].
-    """
-
-    number: int
-    states: Floats
-    actions: Floats
-    rewards: Floats
-    discounts: Floats
-    next_states: Floats
-    asked_rows: RowNumbers
-    asked_pids: tuple[str, ...]
-    asked_q: States
-
-    def questions(self, observation_size: int) -> Questions:
-        """What peers are asked about it; observations are the first ``observation_size`` numbers of a state."""
-        observations = self.next_states[self.asked_rows, :observation_size]
-        return Questions(self.asked_rows, self.asked_pids, observations, self.asked_q)
-
-    def tensors(self) -> SACBatch:
-        """What the gradient step learns from."""
-        columns = (self.states, self.actions, self.rewards, self.discounts, self.next_states)
-        return SACBatch(*map(torch.from_numpy, columns))
 
 
 def modest_alpha(config: LearnerConfig, action_size: int) -> float:
@@ -136,9 +78,8 @@ class SACLearner:
         peers: int = 0,
         device: Device = "cpu",
     ) -> None:
-        self.pid, self.attempts, self.high_level = pid, attempts, high_level
-        self._tables, self._delta, self._config, self._sac = tables, delta, config, sac
-        self._readable = np.flatnonzero(tables.available).astype(np.int32)
+        self.pid, self.attempts = pid, attempts
+        self._delta, self._sac = delta, sac
         self._rng = np.random.default_rng([seed, 1])
         self._low, self._high = bounds
         count, self._observation_size = attempts.observations.shape
@@ -146,7 +87,7 @@ class SACLearner:
         self.experience = Experience(sac.replay_rows // count, count, self._observation_size, action_size)
         kept_of_each = max(1, self.experience.steps // max(1, peers))  # of all peers together what the own replay holds
         self.peer_steps = kept_of_each if sac.peer_share else 0
-        self._others: Mapping[str, Experience] = {}
+        self.batches = BatchSource(pid, self.experience, tables, delta, config, sac, high_level, self._rng)
         self._waves = SinusoidExploration(count, action_size, sac.wave_share, self._rng)
         self._holds = HeldActionExploration(count, action_size, sac.hold_share, self._rng)
         self._initial_alpha = sac.initial_alpha or modest_alpha(config, action_size)
@@ -172,7 +113,7 @@ class SACLearner:
 
     def critic_values(self, observations: Observations, q: States) -> Values:
         """(min of the target critics, log pi) of the own actor's action at product states, float32 [k, 2]."""
-        values, log_probs = self.updater.soft_values(self._product_states(observations, q))
+        values, log_probs = self.updater.soft_values(product_states(observations, q, len(self._delta)))
         return np.stack([values, log_probs], axis=1)
 
     def replica(self) -> PublishedSoftCritic:
@@ -184,17 +125,11 @@ class SACLearner:
     @property
     def peer_rows(self) -> int:
         """See ``Learner.peer_rows``."""
-        return sum(map(len, self._peers_experience()))
+        return sum(map(len, self.batches.peers_experience()))
 
     def learn_from(self, others: Mapping[str, Experience]) -> None:
         """See ``Learner.learn_from``."""
-        self._others = others
-
-    def _peers_experience(self) -> list[Experience]:
-        """What is not empty, and there is use for."""
-        if not self.peer_steps:
-            return []
-        return [experience for pid, experience in self._others.items() if pid != self.pid and len(experience)]
+        self.batches.others = others
 
     def weights(self) -> Weights:
         """Copies of all parameters by name, and the bounds that the average actor's actions are stretched to."""
@@ -267,7 +202,7 @@ class SACLearner:
         success = attempts.recent_success or 0.0
         self._waves.begin(self._fresh, success)
         self._holds.begin(self._fresh, success)
-        chosen = self.updater.act(self._product_states(observations, q), deterministic=False)
+        chosen = self.updater.act(product_states(observations, q, len(self._delta)), deterministic=False)
         actions = self._waves.drive(self._holds.drive(chosen))
         step = attempts.step(scaled(actions, self._low, self._high))
         self.experience.add(
@@ -280,7 +215,7 @@ class SACLearner:
         if len(self.experience) < self._sac.learning_starts:
             return
         while len(self._ahead) < BATCHES_AHEAD:
-            self._ahead.append(self._draw())
+            self._ahead.append(self.batches.draw(self.gradient_steps + len(self._ahead), self._failures()))
         self._ask(peers)
         drawn = self._ahead.popleft()
         answers = peers.gather(drawn.number)
@@ -294,8 +229,11 @@ class SACLearner:
 
     def _alpha_floor(self) -> float:
         """A learner that fails goes on exploring: its entropy coefficient falls with its failures, not before them."""
-        failures = 1.0 - (self.attempts.recent_success or 0.0)
-        return self._initial_alpha * self._sac.alpha_floor * failures**2
+        return self._initial_alpha * self._sac.alpha_floor * self._failures() ** 2
+
+    def _failures(self) -> float:
+        """Share of the recent attempts that failed; 1 before there are any."""
+        return 1.0 - (self.attempts.recent_success or 0.0)
 
     def _ask(self, peers: PeerCritics) -> None:
         """Ask peers about the batches ahead that they have not been asked about: after a resume about all of them."""
@@ -304,69 +242,3 @@ class SACLearner:
                 self._asked = drawn.number + 1
                 if len(drawn.asked_rows):
                     peers.ask(drawn.number, drawn.questions(self._observation_size))
-
-    def _draw(self) -> DrawnBatch:
-        """A batch, a share of it from the experience of one peer, which is as likely as its experience is long."""
-        sac, parts = self._sac, []
-        others = self._peers_experience()
-        peers_rows = round(sac.batch * sac.peer_share) if others else 0
-        if peers_rows < sac.batch:
-            parts.append(self._own_rows(sac.batch - peers_rows))
-        if peers_rows:
-            parts.append(self._peers_rows(others, peers_rows))
-        read = _Reading.joined(parts)
-        asked_rows, asked_pids = self._heirs(read)
-        return DrawnBatch(
-            number=self.gradient_steps + len(self._ahead),
-            states=read.states,
-            actions=read.actions,
-            rewards=read.rewards,
-            discounts=read.discounts,
-            next_states=read.next_states,
-            asked_rows=asked_rows,
-            asked_pids=asked_pids,
-            asked_q=read.q_next[asked_rows],
-        )
-
-    def _own_rows(self, size: int) -> _Reading:
-        """Own experience, each row read in its own DFA state or in one drawn from all of the sub-task's."""
-        sac, experience = self._sac, self.experience
-        rows = experience.sample(size, sac.success_share, self._rng)
-        q = experience.q[rows]
-        if sac.relabel_share and len(self._readable) > 1:
-            q = np.where(self._rng.random(size) < sac.relabel_share, self._any_state(size), q)
-        return self._read(experience, rows, q)
-
-    def _peers_rows(self, others: Sequence[Experience], size: int) -> _Reading:
-        """A peer's experience, read in DFA states of the own sub-task: those in which the peer was may not be any."""
-        lengths = np.array([len(experience) for experience in others])
-        experience = others[int(self._rng.choice(len(others), p=lengths / lengths.sum()))]
-        return self._read(experience, experience.sample(size, 0.0, self._rng), self._any_state(size))
-
-    def _any_state(self, size: int) -> States:
-        return self._readable[self._rng.integers(len(self._readable), size=size)]
-
-    def _read(self, experience: Experience, rows: RowNumbers, q: States) -> _Reading:
-        returns = experience.returns(rows, q, self._tables, self._delta, self._config.gamma, self._sac.n_step)
-        return _Reading(
-            states=self._product_states(experience.observations[rows], q),
-            actions=experience.actions[rows],
-            rewards=(returns.reward * self._config.reward_scale).astype(np.float32),
-            discounts=returns.discount.astype(np.float32),
-            next_states=self._product_states(experience.next_observations[returns.last], returns.q_next),
-            q_next=returns.q_next.astype(np.int32),
-            boundary=returns.boundary,
-        )
-
-    def _heirs(self, read: _Reading) -> tuple[RowNumbers, tuple[str, ...]]:
-        """The rows that hand over to another sub-task, and to which: T' ~ E(Q, q')."""
-        boundary = np.flatnonzero(read.boundary)
-        pids = [self.high_level.choose(q, self._rng) for q in read.q_next[boundary].tolist()]
-        others = [place for place, pid in enumerate(pids) if pid is not None and pid != self.pid]
-        return boundary[others], tuple(str(pids[place]) for place in others)
-
-    def _product_states(self, observations: Observations, q: States) -> NDArray[np.float32]:
-        joined = np.zeros((len(observations), self._observation_size + len(self._delta)), np.float32)
-        joined[:, : self._observation_size] = observations
-        joined[np.arange(len(observations)), self._observation_size + q] = 1.0
-        return joined
