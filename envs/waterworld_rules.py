@@ -31,7 +31,7 @@ START = (SIDE / 2, SIDE / 2, 0.0, 0.0)
 _AGENT_FEATURES = 6
 _BALL_FEATURES = 7
 REACH = TOP_COMMAND + 2 * RADIUS  # how far, per axis, a ball can be off and yet be touched by a command
-DISTANT = 1 / 8  # how much smaller the numbers of all balls are than those of the few within reach: decision 017
+DISTANT = 1 / 8  # how much smaller the numbers of all balls are than those of the few within reach: docs/decisions/018
 
 
 def snapshot_size(palette: Palette) -> int:

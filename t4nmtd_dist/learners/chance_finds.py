@@ -1,4 +1,4 @@
-"""What a peer came upon by chance and has no use for, but the own sub-task has (docs/decisions/018)."""
+"""What a peer came upon by chance and has no use for, but the own sub-task has (docs/decisions/016)."""
 
 from __future__ import annotations
 
