@@ -316,7 +316,7 @@ def test_a_share_of_a_batch_is_read_in_other_states_of_the_subtask(share: float)
         learner.iterate(NoPeers())
     read, own = [], []
     for _ in range(20):
-        batch = learner.batches.draw(0, failures=0.0)
+        batch = learner.batches.draw(0, success=0.0)
         q = batch.states[:, -states:].argmax(1)
         observations = batch.states[:, :-states]
         rows = [int(np.flatnonzero((experience.observations == seen).all(1))[0]) for seen in observations]

@@ -351,22 +351,27 @@ def test_a_share_of_a_batch_is_read_from_peers(share: float) -> None:
     first, second = taught(share)
     assert first.peer_rows == (len(second.experience) if share else 0)
     theirs = {row.tobytes() for row in second.experience.actions[: len(second.experience)]}
-    drawn = first.batches.draw(0, failures=0.0)
+    drawn = first.batches.draw(0, success=0.0)
     assert len(drawn.actions) == 16
     assert sum(row.tobytes() in theirs for row in drawn.actions) == round(16 * share)
 
 
-def test_peers_rows_are_read_as_the_own_sub_tasks() -> None:
+@pytest.mark.parametrize(("success", "penalty"), [(0.0, 10.0), (0.5, 20.0), (1.0, 50.0)])
+def test_peers_rows_are_read_as_the_own_sub_tasks(success: float, penalty: float) -> None:
     """Every row has the reward of its own letter in the DFA state in which it is read, one of the own sub-task's."""
-    first, second = taught(1.0, **{"sac.n_step": "1"})
-    task, experience = small_sac_task(), second.experience
+    first, second = taught(1.0, **{"sac.n_step": "1", "sac.late_error_penalty": "40.0"})
+    task, columns = small_sac_task(), kept_all(second.experience)
+    columns["letters"] = np.random.default_rng(0).integers(task.dfa.delta.shape[1], size=columns["letters"].shape)
+    experience = second.experience.alike(len(columns["letters"]))
+    experience.extend(columns, follows=False)
+    first.learn_from({"g2": experience})
     tables = subtask_tables(
-        task.dfa, task.decomposition, "g1", task.rho, gamma=0.98, shaping="subtask", error_penalty=10.0
+        task.dfa, task.decomposition, "g1", task.rho, gamma=0.98, shaping="subtask", error_penalty=penalty
     )
-    size = experience.observations.shape[1]
+    errors, size = 0, experience.observations.shape[1]
     row_of = {row.tobytes(): number for number, row in enumerate(experience.actions[: len(experience)])}
     for _ in range(20):
-        drawn = first.batches.draw(0, failures=0.0)
+        drawn = first.batches.draw(0, success=success)
         for action, state, reward, following in zip(
             drawn.actions, drawn.states, drawn.rewards, drawn.next_states, strict=True
         ):
@@ -377,13 +382,15 @@ def test_peers_rows_are_read_as_the_own_sub_tasks() -> None:
             assert following[:size].tolist() == experience.next_observations[row].tolist()
             assert int(following[size:].argmax()) == q_next
             assert reward == pytest.approx(0.1 * tables.reward[q, q_next])
+            errors += int(tables.error[q_next])
+    assert errors > 0
 
 
 def test_nothing_is_read_from_peers_that_have_nothing() -> None:
     first, _ = taught(0.5)
     first.learn_from({"g1": first.experience, "g2": lived(0, 2, 10)})
     assert first.peer_rows == 0
-    assert len(first.batches.draw(0, failures=0.0).actions) == 16
+    assert len(first.batches.draw(0, success=0.0).actions) == 16
 
 
 def test_peers_are_as_likely_as_their_experience_is_long() -> None:
@@ -394,7 +401,7 @@ def test_peers_are_as_likely_as_their_experience_is_long() -> None:
     columns["observations"][:] = 7.0
     short.extend(columns, follows=True)
     first.learn_from({"g2": second.experience, "g3": short})
-    drawn = [bool((first.batches.draw(0, failures=0.0).states[:, :size] == 7.0).all()) for _ in range(600)]
+    drawn = [bool((first.batches.draw(0, success=0.0).states[:, :size] == 7.0).all()) for _ in range(600)]
     share = len(short) / (len(short) + len(second.experience))
     assert np.mean(drawn) == pytest.approx(share, abs=4 * np.sqrt(share * (1 - share) / 600))
 
@@ -446,33 +453,25 @@ def test_letters_of_a_target_are_those_that_some_state_takes_to_one() -> None:
     task = small_sac_task()
     tables = subtask_tables(task.dfa, task.decomposition, "g1", task.rho, gamma=0.98, shaping="subtask")
     found = target_letters(tables, task.dfa.delta)
-    expected = [
-        any((q, q_next) in task.decomposition.subtasks["g1"] for q, q_next in enumerate(column))
-        for column in task.dfa.delta.T.tolist()
-    ]
+    transitions = task.decomposition.subtasks["g1"]
+    expected = [any(pair in transitions for pair in enumerate(column)) for column in task.dfa.delta.T.tolist()]
     assert found.tolist() == expected
     assert 0 < sum(expected) < len(expected)
 
 
-@pytest.mark.parametrize(
-    ("failures", "drawn_at_least", "drawn_at_most"), [(0.0, 0.0, 0.05), (0.5, 0.2, 0.35), (1.0, 0.8, 0.95)]
-)
-def test_who_fails_reads_more_of_what_its_peers_found_by_chance(
-    failures: float, drawn_at_least: float, drawn_at_most: float
-) -> None:
+@pytest.mark.parametrize(("success", "least", "most"), [(0.0, 0.8, 0.95), (0.5, 0.2, 0.35), (1.0, 0.0, 0.05)])
+def test_who_fails_reads_more_of_what_its_peers_found_by_chance(success: float, least: float, most: float) -> None:
     """One letter in a hundred is g1's; its row is drawn a hundredth of the time by a learner that succeeds."""
     first, second = taught(1.0, **{"sac.success_share": "0.9", "sac.batch": "1000"})
     size = second.experience.observations.shape[1]
     letter = int(np.flatnonzero(target_letters(first.batches.tables, small_sac_task().dfa.delta))[0])
-    wide = second.experience.alike(100)
-    columns = {
-        name: np.zeros((100, *column.shape[1:]), column.dtype) for name, column in kept_all(second.experience).items()
-    }
+    wide, like = second.experience.alike(100), kept_all(second.experience)
+    columns = {name: np.zeros((100, *column.shape[1:]), column.dtype) for name, column in like.items()}
     columns["ended"][:] = True
     columns["letters"][50, 0] = letter
     columns["observations"][50, 0] = 7.0
     wide.extend(columns, follows=False)
     first.learn_from({"g2": wide})
-    drawn = first.batches.draw(0, failures=failures)
+    drawn = first.batches.draw(0, success=success)
     share = float((drawn.states[:, :size] == 7.0).all(1).mean())
-    assert drawn_at_least <= share <= drawn_at_most
+    assert least <= share <= most

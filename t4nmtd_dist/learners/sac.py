@@ -199,7 +199,7 @@ class SACLearner:
     def _step(self) -> None:
         attempts = self.attempts
         observations, q = attempts.observations.copy(), attempts.q.copy()
-        success = attempts.recent_success or 0.0
+        success = self._success()
         self._waves.begin(self._fresh, success)
         self._holds.begin(self._fresh, success)
         chosen = self.updater.act(product_states(observations, q, len(self._delta)), deterministic=False)
@@ -215,25 +215,23 @@ class SACLearner:
         if len(self.experience) < self._sac.learning_starts:
             return
         while len(self._ahead) < BATCHES_AHEAD:
-            self._ahead.append(self.batches.draw(self.gradient_steps + len(self._ahead), self._failures()))
+            self._ahead.append(self.batches.draw(self.gradient_steps + len(self._ahead), self._success()))
         self._ask(peers)
         drawn = self._ahead.popleft()
         answers = peers.gather(drawn.number)
         values, log_probs = answers.values.reshape(-1, 2).T
-        self.updater.scale_learning_rate(
-            1.0 - self._sac.learning_rate_decay * (self.attempts.recent_success or 0.0) ** 2
-        )
+        self.updater.scale_learning_rate(1.0 - self._sac.learning_rate_decay * self._success() ** 2)
         self.updater.update(drawn.tensors(), PeerSoftValues(answers.rows, values, log_probs))
         self.updater.keep_alpha_above(self._alpha_floor())
         self.gradient_steps += 1
 
     def _alpha_floor(self) -> float:
         """A learner that fails goes on exploring: its entropy coefficient falls with its failures, not before them."""
-        return self._initial_alpha * self._sac.alpha_floor * self._failures() ** 2
+        return self._initial_alpha * self._sac.alpha_floor * (1.0 - self._success()) ** 2
 
-    def _failures(self) -> float:
-        """Share of the recent attempts that failed; 1 before there are any."""
-        return 1.0 - (self.attempts.recent_success or 0.0)
+    def _success(self) -> float:
+        """Share of the recent attempts that succeeded; 0 before there are any."""
+        return self.attempts.recent_success or 0.0
 
     def _ask(self, peers: PeerCritics) -> None:
         """Ask peers about the batches ahead that they have not been asked about: after a resume about all of them."""

@@ -122,6 +122,7 @@ class BatchSource:
         self._pid, self._experience, self.high_level, self._rng = pid, experience, high_level, rng
         self.tables, self._delta, self._config, self._sac = tables, delta, config, sac
         self._readable = np.flatnonzero(tables.available).astype(np.int32)
+        self._tables_now = tables
         self._finds = WeakKeyDictionary[Experience, ChanceFinds]()
         self.others: Mapping[str, Experience] = {}
 
@@ -131,20 +132,21 @@ class BatchSource:
             return []
         return [experience for pid, experience in self.others.items() if pid != self._pid and len(experience)]
 
-    def draw(self, number: int, failures: float) -> DrawnBatch:
+    def draw(self, number: int, success: float) -> DrawnBatch:
         """A batch, a share of it from the experience of one peer, which is as likely as its experience is long.
 
         Args:
             number: of the batch.
-            failures: share of the own recent attempts that failed.
+            success: share of the own recent attempts that succeeded.
         """
         sac, parts = self._sac, []
+        self._tables_now = self.tables.stricter(sac.late_error_penalty * success**2)
         others = self.peers_experience()
         peers_rows = round(sac.batch * sac.peer_share) if others else 0
         if peers_rows < sac.batch:
             parts.append(self._own_rows(sac.batch - peers_rows))
         if peers_rows:
-            parts.append(self._peers_rows(others, peers_rows, failures))
+            parts.append(self._peers_rows(others, peers_rows, success))
         read = _Reading.joined(parts)
         asked_rows, asked_pids = self._heirs(read)
         return DrawnBatch(
@@ -168,7 +170,7 @@ class BatchSource:
             q = np.where(self._rng.random(size) < sac.relabel_share, self._any_state(size), q)
         return self._read(experience, rows, q)
 
-    def _peers_rows(self, others: Sequence[Experience], size: int, failures: float) -> _Reading:
+    def _peers_rows(self, others: Sequence[Experience], size: int, success: float) -> _Reading:
         """A peer's experience, read in DFA states of the own sub-task: those in which the peer was may not be any.
 
         A learner that fails also draws from what its peer found by chance, as it draws from before own successes.
@@ -176,7 +178,7 @@ class BatchSource:
         lengths = np.array([len(experience) for experience in others])
         experience = others[int(self._rng.choice(len(others), p=lengths / lengths.sum()))]
         rows = experience.sample(size, 0.0, self._rng)
-        wanted = round(size * self._sac.success_share * failures**2)
+        wanted = round(size * self._sac.success_share * (1.0 - success) ** 2)
         if wanted and len(finds := self._finds_in(experience)):
             rows[:wanted] = finds[self._rng.integers(len(finds), size=wanted)]
         return self._read(experience, rows, self._any_state(size))
@@ -192,7 +194,7 @@ class BatchSource:
         return self._readable[self._rng.integers(len(self._readable), size=size)]
 
     def _read(self, experience: Experience, rows: RowNumbers, q: States) -> _Reading:
-        returns = experience.returns(rows, q, self.tables, self._delta, self._config.gamma, self._sac.n_step)
+        returns = experience.returns(rows, q, self._tables_now, self._delta, self._config.gamma, self._sac.n_step)
         states = len(self._delta)
         return _Reading(
             states=product_states(experience.observations[rows], q, states),
