@@ -149,8 +149,6 @@ class SACConfig:
             each held for some steps.
         learning_rate_decay: share of the learning rate that is gone once every attempt succeeds; it goes with the
             square of the share of attempts that do.
-        late_error_penalty: what ``learner.error_penalty`` has grown by once every attempt succeeds; it goes with the
-            square of the share of attempts that do (docs/decisions/019).
         initial_alpha: entropy coefficient at the start, tuned from there; 0 for the one with which acting at random
             for ever is worth as much as one target.
         alpha_floor: share of ``initial_alpha`` below which that of a learner without success does not fall; it goes
@@ -175,7 +173,6 @@ class SACConfig:
     hold_share: float = 0.25
     learning_rate: float = 3e-4
     learning_rate_decay: float = 0.0
-    late_error_penalty: float = 0.0
     initial_alpha: float = 0.0
     alpha_floor: float = 1.0
     tau: float = 0.005
@@ -268,7 +265,6 @@ def _check_ranges(task: TaskConfig) -> None:
     }
     for key, number in (
         ("learner.error_penalty", task.learner.error_penalty),
-        ("sac.late_error_penalty", task.sac.late_error_penalty),
         ("sac.initial_alpha", task.sac.initial_alpha),
     ):
         if number < 0:

@@ -5,7 +5,7 @@ Everything here depends on (q, q') alone, so it is tabulated once and looked up 
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -73,10 +73,6 @@ class SubtaskTables:
         """Bool [Q]: F or E, where the critic's value is 0."""
         return self.accepting | self.error
 
-    def stricter(self, penalty: float) -> SubtaskTables:
-        """The same, with ``penalty`` more taken off the reward of every step into an error state."""
-        return replace(self, reward=self.reward - penalty * (self.error[None, :] & ~self.error[:, None]))
-
 
 def subtask_tables(
     dfa: DFA,
@@ -95,9 +91,10 @@ def subtask_tables(
     accepting = _mask(dfa, dfa.accepting)
     error = _mask(dfa, dfa.error)
     reward = shaped_reward(target, accepting, error, rho, gamma=gamma, shaping=shaping)
+    reward -= error_penalty * (error[None, :] & ~error[:, None])
     available: NDArray[np.bool_] = np.any(target, axis=1, keepdims=True)[:, 0]
     kept = gamma * np.where(accepting | error, 0.0, rho) if shaping == "potential" else np.zeros(dfa.states)
-    return SubtaskTables(target, available, accepting, error, reward, kept).stricter(error_penalty)
+    return SubtaskTables(target, available, accepting, error, reward, kept)
 
 
 def _mask(dfa: DFA, states: frozenset[int]) -> NDArray[np.bool_]:

@@ -211,5 +211,3 @@ def test_an_algorithm_brings_its_own_defaults_which_every_setting_overrides() ->
     assert task_config(sac.to_dict()) == sac
     with pytest.raises(ConfigError, match="error_penalty"):
         task_config({**plain, "learner": {"error_penalty": -1.0}})
-    with pytest.raises(ConfigError, match="late_error_penalty"):
-        task_config({**plain, "sac": {"late_error_penalty": -1.0}})

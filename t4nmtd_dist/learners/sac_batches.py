@@ -122,7 +122,6 @@ class BatchSource:
         self._pid, self._experience, self.high_level, self._rng = pid, experience, high_level, rng
         self.tables, self._delta, self._config, self._sac = tables, delta, config, sac
         self._readable = np.flatnonzero(tables.available).astype(np.int32)
-        self._tables_now = tables
         self._finds = WeakKeyDictionary[Experience, ChanceFinds]()
         self.others: Mapping[str, Experience] = {}
 
@@ -140,7 +139,6 @@ class BatchSource:
             success: share of the own recent attempts that succeeded.
         """
         sac, parts = self._sac, []
-        self._tables_now = self.tables.stricter(sac.late_error_penalty * success**2)
         others = self.peers_experience()
         peers_rows = round(sac.batch * sac.peer_share) if others else 0
         if peers_rows < sac.batch:
@@ -194,7 +192,7 @@ class BatchSource:
         return self._readable[self._rng.integers(len(self._readable), size=size)]
 
     def _read(self, experience: Experience, rows: RowNumbers, q: States) -> _Reading:
-        returns = experience.returns(rows, q, self._tables_now, self._delta, self._config.gamma, self._sac.n_step)
+        returns = experience.returns(rows, q, self.tables, self._delta, self._config.gamma, self._sac.n_step)
         states = len(self._delta)
         return _Reading(
             states=product_states(experience.observations[rows], q, states),
