@@ -65,6 +65,9 @@ class Evaluator:
         Args:
             policy: what acts.
             perturb: each episode begins with k random actions, k uniform in 0..perturb.
+
+        Raises:
+            PolicyError: if the policy learned from observations of another size than the world's.
         """
         rows = np.arange(self._world.count)
         if perturb:
@@ -92,6 +95,7 @@ class Evaluator:
     def _episodes(
         self, policy: GlobalPolicy, observations: Observations, q: NDArray[np.int32], redrawn: int
     ) -> EvaluationResult:
+        policy.check_fits(observations)
         count = len(q)
         accepting, error = _masks(policy)
         success, over = np.zeros(count, np.bool_), np.zeros(count, np.bool_)

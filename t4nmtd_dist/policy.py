@@ -125,13 +125,31 @@ class GlobalPolicy:
 
     def _row(self, observation: NDArray[Any]) -> Observations:
         row = np.asarray(observation, np.float32).reshape(1, -1)
-        sizes = {actor.inputs - self.dfa.states for actor in self._actors.values()}
-        if sizes and row.shape[1] not in sizes:
+        learned_from = self._observation_size()
+        if learned_from not in (None, row.shape[1]):
             raise PolicyError(
-                f"an observation of {row.shape[1]} numbers, where the policy learned from {sizes.pop()}; "
+                f"an observation of {row.shape[1]} numbers, where the policy learned from {learned_from}; "
                 "flatten a Discrete or Dict observation by t4nmtd_dist.environments.observations.flattener"
             )
         return row
+
+    def _observation_size(self) -> int | None:
+        """How many numbers its actors see besides the DFA state; None if it has no actor."""
+        return next((actor.inputs - self.dfa.states for actor in self._actors.values()), None)
+
+    def check_fits(self, observations: Observations) -> None:
+        """Look whether the actors learned from observations like these [N, d].
+
+        Raises:
+            PolicyError: if those were of another size.
+        """
+        learned_from = self._observation_size()
+        if learned_from not in (None, observations.shape[1]):
+            raise PolicyError(
+                f"the policy learned from observations of {learned_from} numbers, and those of "
+                f"{self.config.environment.id} have {observations.shape[1]}: train it again, or use the version of "
+                "the environment that it learned in"
+            )
 
 
 def load(path: str | Path) -> GlobalPolicy:

@@ -24,6 +24,7 @@ from small_tasks import (
 )
 
 from t4nmtd_dist.compiled import CompiledTask, compile_task
+from t4nmtd_dist.errors import PolicyError
 from t4nmtd_dist.evaluation import Evaluator
 from t4nmtd_dist.policy import GlobalPolicy
 from t4nmtd_dist.tasks import load_task
@@ -176,3 +177,11 @@ def test_the_validation_return_telescopes(seed: int, perturb: int) -> None:
     assert result.returns[0] == pytest.approx(policy.rho[last] - policy.rho[first])
     assert result.success[0] == (last == ACCEPTING)
     assert result.lengths[0] <= 40
+
+
+def test_a_policy_that_learned_from_other_observations_is_refused() -> None:
+    task, good = task_of_actors(), expert()
+    older = actor(task, {}, LEFT)
+    older["actor.0.weight"] = older["actor.0.weight"][:, 1:]
+    with pytest.raises(PolicyError, match=f"observations of {OBSERVATION - 1} numbers.*have {OBSERVATION}: train"):
+        Evaluator(good, 2, seed=0).run(policy_of(task, {"p2": older, "g": older}))
