@@ -59,8 +59,10 @@ def play(policy: GlobalPolicy, copy: EnvironmentCopy, seed: int) -> Iterator[Mom
 
     Raises:
         WorldError: if the environment draws no pictures.
+        PolicyError: if the policy learned from observations of another size.
     """
     observation, q, labels, ended = copy.reset(seed), policy.dfa.initial, frozenset[str](), ""
+    policy.check_fits(observation[None])
     for step in range(policy.config.environment.horizon + 1):
         ended = ended or _outcome(policy, q, step)
         yield Moment(_frame(copy), labels, q, None if ended else policy.subtask_of[q], step, ended)
