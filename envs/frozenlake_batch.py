@@ -22,7 +22,7 @@ from envs.frozenlake_rules import (
     observation_space,
     observe,
 )
-from envs.protocol import checked_actions, checked_choice, checked_indices, checked_reset_mask
+from envs.protocol import checked_actions, checked_choice, checked_count, checked_indices, checked_reset_mask
 
 
 class FrozenLakeVectorEnv(VectorEnv[NDArray[np.float32], NDArray[np.intp], NDArray[Any]]):
@@ -57,11 +57,9 @@ class FrozenLakeVectorEnv(VectorEnv[NDArray[np.float32], NDArray[np.intp], NDArr
             ValueError: if an argument is none of these.
         """
         checked_choice("render_mode", render_mode, (None, "rgb_array"))
-        if type(num_envs) is not int or num_envs < 1:
-            raise ValueError(f"num_envs must be an integer of at least 1, got {num_envs!r}")
         self.lake = lake_with(goals)
         self.propositions: tuple[str, ...] = self.lake.propositions
-        self.num_envs = num_envs
+        self.num_envs = checked_count(num_envs)
         self._actions = spaces.Discrete(len(ACTIONS))
         self.single_action_space = self._actions
         self.single_observation_space = observation_space(observation)

@@ -101,6 +101,17 @@ def checked_choice(keyword: str, value: object, choices: tuple[object, ...]) -> 
         raise ValueError(f"{keyword} must be {expected}, got {value!r}")
 
 
+def checked_count(num_envs: object) -> int:
+    """The number of copies of a batch.
+
+    Raises:
+        ValueError: if it is not an integer of at least 1.
+    """
+    if type(num_envs) is not int or num_envs < 1:
+        raise ValueError(f"num_envs must be an integer of at least 1, got {num_envs!r}")
+    return num_envs
+
+
 def checked_actions(space: spaces.Discrete, actions: ArrayLike, num_envs: int) -> NDArray[np.intp]:
     """The actions of a batch as an intp array of shape (num_envs,).
 

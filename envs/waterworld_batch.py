@@ -12,7 +12,7 @@ from gymnasium.vector.utils import batch_space
 from numpy.typing import ArrayLike, NDArray
 
 from envs.box_actions import checked_box_actions, symmetric_box
-from envs.protocol import checked_choice, checked_indices, checked_reset_mask
+from envs.protocol import checked_choice, checked_count, checked_indices, checked_reset_mask
 from envs.waterworld import render_pond, start_states
 from envs.waterworld_maps import checked_map, palette_of
 from envs.waterworld_ponds import Ponds
@@ -60,11 +60,9 @@ class WaterworldVectorEnv(VectorEnv[NDArray[np.float32], NDArray[Any], NDArray[A
             ValueError: if an argument is none of these.
         """
         checked_choice("render_mode", render_mode, (None, "rgb_array"))
-        if type(num_envs) is not int or num_envs < 1:
-            raise ValueError(f"num_envs must be an integer of at least 1, got {num_envs!r}")
         self.palette = palette_of(colours)
         self.propositions: tuple[str, ...] = self.palette.colours
-        self.num_envs = num_envs
+        self.num_envs = checked_count(num_envs)
         self.single_action_space = self._commands = symmetric_box(TOP_COMMAND, 2)
         self.single_observation_space = observation_space(self.palette, observation)
         self.action_space = batch_space(self.single_action_space, num_envs)

@@ -13,8 +13,6 @@ from hypothesis.extra import numpy as hnp
 from numpy.typing import NDArray
 from small_tasks import CARRYING_2, PICK, START, TO_GOAL, TO_PASSENGER_2, small_learner, small_task, snapshot_after
 
-from coordinator.state import RunSettings
-from t4nmtd_dist.launch.serial import SerialRun
 from t4nmtd_dist.learners.peers import InterventionCounts, LocalPeers, NoPeers, PeerCritics, PeerValues, Questions
 from t4nmtd_dist.learners.ppo import PPOLearner, generalised_advantages
 
@@ -184,26 +182,6 @@ def test_nobody_is_asked_about_terminals_or_inside_a_subtask() -> None:
         assert np.array_equal(observation, rollout.boundary_observations[t, n])
         assert q == rollout.boundary_q[t, n]
         assert q != np.argmax(rollout.states[t, n, -small_task().dfa.states :])
-
-
-def critics_after(mode: str, rounds: int = 2) -> dict[str, NDArray[np.float32]]:
-    """Critic parameters of p2 after some serial rounds that begin beside its passenger."""
-    task = small_task(f"learner.intervention={mode}", "learner.attempt_steps=6")
-    run = SerialRun(task, RunSettings(seed=0, max_interactions=10**9), lambda: 0.0)
-    run.sessions["p2"].buffer.add(START, BESIDE_2)
-    for _ in range(rounds):
-        run.round()
-    asked = run.sessions["p2"]._stats().intervention.asked
-    assert (asked > 0) == (mode != "off")
-    return {k: v for k, v in run.sessions["p2"].learner.weights().items() if k.startswith("critic")}
-
-
-def test_intervention_changes_the_critic_and_only_that_way_of_bootstrapping() -> None:
-    on, off = critics_after("query"), critics_after("off")
-    for mode in ("local", "replica"):
-        again = critics_after(mode)
-        assert all(np.array_equal(on[name], again[name]) for name in on)
-    assert any(not np.array_equal(on[name], off[name]) for name in on)
 
 
 def test_the_published_critic_is_the_one_after_the_last_update() -> None:

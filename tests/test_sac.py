@@ -25,8 +25,6 @@ from small_sac import (
     twin,
 )
 
-from coordinator.state import RunSettings
-from t4nmtd_dist.launch.serial import SerialRun
 from t4nmtd_dist.learners.attempts import Attempts
 from t4nmtd_dist.learners.experience import Returns
 from t4nmtd_dist.learners.peers import NoPeers, PeerCritics
@@ -339,29 +337,6 @@ def test_what_a_relabelled_row_leads_to_is_computed_from_its_letter() -> None:
             rows, np.full(len(rows), q, np.int32), learner.batches.tables, task.dfa.delta, 0.99, 1
         )
         assert found.q_next.tolist() == [int(task.dfa.delta[q, letter]) for letter in experience.letters[rows]]
-
-
-# Intervention in a run
-
-
-def critics_after(mode: str, rounds: int = 5) -> dict[str, NDArray[np.float32]]:
-    """Critic parameters of g1 after some serial rounds that often begin in its target."""
-    task = small_sac_task(f"learner.intervention={mode}", "learner.attempt_steps=6")
-    run = SerialRun(task, RunSettings(seed=0, max_interactions=10**9), lambda: 0.0)
-    run.sessions["g1"].buffer.add(START, AT_G1)
-    for _ in range(rounds):
-        run.round()
-    asked = run.sessions["g1"]._stats().intervention.asked
-    assert (asked > 0) == (mode != "off")
-    return {k: v for k, v in run.sessions["g1"].learner.weights().items() if k.startswith("critics")}
-
-
-def test_intervention_changes_the_critic_and_only_that_way_of_bootstrapping() -> None:
-    on, off = critics_after("query"), critics_after("off")
-    for mode in ("local", "replica"):
-        again = critics_after(mode)
-        assert all(np.array_equal(on[name], again[name]) for name in on)
-    assert any(not np.array_equal(on[name], off[name]) for name in on)
 
 
 # The entropy coefficient
