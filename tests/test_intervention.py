@@ -8,16 +8,13 @@ from typing import Any
 
 import numpy as np
 import pytest
-import small_tasks
 import zmq
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
-from small_sac import AT_G1, PIDS, START, TO_G2, TO_G3, small_sac, small_sac_task
+from small_sac import PIDS, START, TO_G2, TO_G3, small_sac
 from small_tasks import small_learner
 
-from coordinator.state import RunSettings
-from t4nmtd_dist.launch.serial import SerialRun
 from t4nmtd_dist.learners.peers import LocalPeers, MixedPeers, NoPeers, PeerCritics, PeerValues, Questions
 from t4nmtd_dist.learners.ppo import PPOLearner
 from t4nmtd_dist.learners.sac import SACLearner
@@ -475,33 +472,3 @@ def test_a_mixed_worker_asks_its_own_learners_and_other_processes(context: Conte
     assert len(peers.gather(1).rows) == 1
     assert peers.near.counts.answered == 4
     far.close()
-
-
-# What it does to a run
-
-
-def critics_after(algorithm: str, mode: str) -> dict[str, Floats]:
-    """Critic parameters after some serial rounds of a learner that often begins beside its target."""
-    if algorithm == "ppo":
-        beside_2 = small_tasks.snapshot_after(*small_tasks.TO_PASSENGER_2)
-        make, pid, start, rounds = small_tasks.small_task, "p2", (small_tasks.START, beside_2), 2
-    else:
-        make, pid, start, rounds = small_sac_task, "g1", (START, AT_G1), 5
-    task = make(f"learner.intervention={mode}", "learner.attempt_steps=6")
-    run = SerialRun(task, RunSettings(seed=0, max_interactions=10**9), lambda: 0.0)
-    session = run.sessions[pid]
-    session.buffer.add(*start)
-    for _ in range(rounds):
-        run.round()
-    assert (session._stats().intervention.asked > 0) == (mode != "off")
-    return {name: array for name, array in session.learner.weights().items() if name.startswith("critic")}
-
-
-@pytest.mark.parametrize("algorithm", ["ppo", "sac"])
-def test_intervention_changes_the_critic_and_only_that_way_of_bootstrapping(algorithm: str) -> None:
-    on, off = critics_after(algorithm, "query"), critics_after(algorithm, "off")
-    assert on
-    for mode in ("local", "replica"):
-        again = critics_after(algorithm, mode)
-        assert all(np.array_equal(on[name], again[name]) for name in on)
-    assert any(not np.array_equal(on[name], off[name]) for name in on)

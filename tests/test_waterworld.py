@@ -11,9 +11,10 @@ import gymnasium
 import numpy as np
 import pytest
 from gymnasium.utils.env_checker import check_env
-from hypothesis import assume, given, settings
+from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
+from ponds import BLUE, COLOURS, GREEN, RED, colour_counts, command, commands, pond, run, snapshots
 
 from envs.protocol import SnapshotEnv, SnapshotVectorEnv
 from envs.waterworld import WaterworldEnv
@@ -22,42 +23,7 @@ from envs.waterworld_ponds import COPIES_PER_SPACE
 from t4nmtd_dist.wire.codec import Envelope, decode, encode
 from t4nmtd_dist.wire.messages import Release
 
-COLOURS = {
-    6: ("red", "green", "blue", "black", "white", "grey"),
-    8: ("red", "blue", "green", "pink", "black", "white", "grey", "yellow"),
-}
-RED, GREEN, BLUE = 0, 3, 6  # first balls of the colours with 6 colours
-
-colour_counts = st.sampled_from([6, 8])
 observations = st.sampled_from(["features", "raw"])
-command = st.one_of(st.floats(-3.5, 3.5), st.sampled_from([-3.5, -3.0, -1.0, -0.5, 0.0, 0.25, 1.0, 2.0, 3.5]))
-commands = st.lists(st.tuples(command, command), min_size=1, max_size=25)
-
-
-def pond(
-    agent: tuple[float, float, float, float], balls: dict[int, tuple[float, ...]] | None = None
-) -> NDArray[np.float64]:
-    """A snapshot for 6 colours: balls by number; the others rest in the corner (0, 30)."""
-    rows = np.tile([0.0, 30.0, 0.0, 0.0], (19, 1))
-    rows[18] = agent
-    for number, ball in (balls or {}).items():
-        rows[number] = ball
-    return rows.ravel()
-
-
-@st.composite
-def snapshots(draw: st.DrawFn, colours: int) -> NDArray[np.float64]:
-    """Balls on whole numbers, often close to the agent, at walls, or a border's breadth from touching."""
-    top = 2 if colours == 6 else 3
-    x, y = (draw(st.one_of(st.integers(0, 30).map(float), st.floats(0, 30))) for _ in range(2))
-    rows = []
-    for _ in range(3 * colours):
-        place = [
-            min(max(round(at) + draw(st.integers(-2, 2)), 0), 30) if draw(st.booleans()) else draw(st.integers(0, 30))
-            for at in (x, y)
-        ]
-        rows.append([*place, draw(st.integers(-top, top)), draw(st.integers(-top, top))])
-    return np.array([*rows, [x, y, draw(command), draw(command)]], dtype=np.float64).ravel()
 
 
 def reference_step(state: list[float], action: tuple[float, float]) -> tuple[list[float], set[str]]:
@@ -84,14 +50,6 @@ def reference_step(state: list[float], action: tuple[float, float]) -> tuple[lis
                     new[axis + 2] = action[axis]
         after += new
     return after, labels
-
-
-def run(env: WaterworldEnv, *actions: tuple[float, float]) -> tuple[list[float], frozenset[str]]:
-    """The agent's x, y, vx, vy and the labels after some steps."""
-    info: dict[str, Any] = {}
-    for action in actions:
-        *_, info = env.step(np.array(action))
-    return env.get_state()[-4:].tolist(), info["labels"]
 
 
 def over_the_wire(state: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -285,78 +243,6 @@ def test_random_maps_hold_whole_numbers_of_the_whole_range(colours: int, top: in
     everything = np.concatenate(balls)
     assert np.array_equal(np.unique(everything[:, :2]), np.arange(31))
     assert np.array_equal(np.unique(everything[:, 2:]), np.arange(-top, top + 1))
-
-
-def features_of(colours: int, features: NDArray[np.float32]) -> dict[str, NDArray[np.float32]]:
-    flags = 6 + 2 * colours
-    return {
-        "agent": features[:6],
-        "due": features[6 : 6 + colours],
-        "due_later": features[6 + colours : flags],
-        "balls": features[flags:].reshape(colours, 3, 7),
-    }
-
-
-def test_features_as_computed_by_hand() -> None:
-    env = WaterworldEnv()
-    balls = {3: (10, 10, 2, 0), 4: (16, 12, -1, 1), 5: (18, 29, 0, 2)}
-    seen = features_of(6, env.set_state(pond((14, 29, 1, 2), balls)))
-    # The agent will be at (15, 30) after the coming step, where the upper wall ignores its y command.
-    np.testing.assert_allclose(seen["agent"], [-1 / 15, 14 / 15, 1 / 3.5, 2 / 3.5, 0, 1], atol=1e-6)
-    # In two steps ball 5 has bounced to (18, 28), ball 4 is at (14, 14), ball 3 at (14, 10): in this order
-    # the nearest, by the larger of both offsets from (15, 30). Only ball 5 can be touched there.
-    np.testing.assert_allclose(
-        seen["balls"][1],
-        [
-            [1, 3 / 4.5, -2 / 4.5, 4 / 240, 0, 0, 1 / 8],
-            [0, 0, 0, 2 / 240, -17 / 240, -0.5 / 8, 0.5 / 8],
-            [0, 0, 0, -4 / 240, -19 / 240, 1 / 8, 0],
-        ],
-        atol=1e-6,
-    )
-    assert not seen["due"].any()
-
-
-@given(st.data(), colour_counts, commands)
-def test_flags_foretell_the_labels_of_the_next_two_steps(
-    data: st.DataObject, colours: int, actions: list[tuple[float, float]]
-) -> None:
-    env = WaterworldEnv(colours=colours)
-    seen = features_of(colours, env.set_state(data.draw(snapshots(colours))))
-    foretold: list[list[float]] = [seen["due"].tolist(), seen["due_later"].tolist()]
-    for number, action in enumerate(actions):
-        observation, _, _, _, info = env.step(np.array(action))
-        labels = [float(name in info["labels"]) for name in env.propositions]
-        assert labels == foretold[number]
-        foretold.append(features_of(colours, observation)["due_later"].tolist())
-
-
-@given(st.data(), st.integers(0, 17))
-def test_some_command_touches_a_ball_that_is_said_to_be_within_reach(data: st.DataObject, slot: int) -> None:
-    env = WaterworldEnv()
-    start = data.draw(snapshots(6))
-    seen = features_of(6, env.set_state(start))
-    colour, place = divmod(slot, 3)
-    within, *shown = seen["balls"][colour, place, :3].astype(np.float64)
-    command = np.clip(4.5 * np.array(shown), -3.5, 3.5)
-    assume(not seen["agent"][4:].any())  # at a wall commands are ignored
-    run(env, (command[0], command[1]), (0, 0))
-    assert within in (0.0, 1.0)
-    if within:
-        assert env.propositions[colour] in run(env, (0, 0))[1]
-    else:
-        assert shown == [0, 0]
-
-
-@given(st.data(), colour_counts, st.tuples(command, command))
-def test_no_command_touches_a_colour_of_which_no_ball_is_within_reach(
-    data: st.DataObject, colours: int, action: tuple[float, float]
-) -> None:
-    env = WaterworldEnv(colours=colours)
-    seen = features_of(colours, env.set_state(data.draw(snapshots(colours))))
-    beyond = {name for name, balls in zip(env.propositions, seen["balls"], strict=True) if not balls[:, 0].any()}
-    run(env, action, (0, 0))
-    assert not beyond & run(env, (0, 0))[1]
 
 
 @pytest.mark.parametrize("colours", [6, 8])
