@@ -14,7 +14,7 @@ from t4nmtd_dist.errors import ProtocolError
 from t4nmtd_dist.wire.codec import Envelope, without_prefix
 from t4nmtd_dist.wire.keys import ClientKeys
 from t4nmtd_dist.wire.messages import ExperienceReply, ExperienceRequest, Peer
-from t4nmtd_dist.wire.notices import Notices, Tell
+from t4nmtd_dist.wire.notices import Tell
 from t4nmtd_dist.wire.peer_lines import PeerClient, arrived
 from t4nmtd_dist.wire.sockets import Context, Socket
 
@@ -35,6 +35,7 @@ class _Line:
         stored: number of the step after the one stored last; -1 if over this connection none was.
         request: number of the request without an answer; 0 for none.
         ask_at: when to ask again.
+        misfit: whether an answer that does not fit was told of.
     """
 
     peer: Peer
@@ -43,6 +44,7 @@ class _Line:
     stored: int = -1
     request: int = 0
     ask_at: float = 0.0
+    misfit: bool = False
 
 
 class PeerExperience(PeerClient[_Line]):
@@ -57,7 +59,7 @@ class PeerExperience(PeerClient[_Line]):
         letters: how many letters the DFA reads.
         keys: this worker's own, if the coordinator has keys.
         clock: seconds that only grow.
-        tell: called with a line about an answer that does not fit.
+        tell: called with a line about the first answer over a connection that does not fit.
 
     Attributes:
         copies: by pid, those of whom anything has come.
@@ -74,8 +76,7 @@ class PeerExperience(PeerClient[_Line]):
         tell: Tell = lambda text: None,
     ) -> None:
         super().__init__(context, sender, keys, _Line, clock)
-        self._make, self._letters = make, letters
-        self._notices = Notices(tell)
+        self._make, self._letters, self._tell = make, letters, tell
         self.copies: dict[str, Experience] = {}
 
     def pull(self) -> None:
@@ -104,7 +105,9 @@ class PeerExperience(PeerClient[_Line]):
         try:
             columns = checked_columns(without_prefix("experience.", envelope.arrays), room, self._letters)
         except ProtocolError as error:
-            self._notices.once(f"dropped what {pid} at {line.peer.endpoint} tells of its experience: {error}")
+            if not line.misfit:
+                self._tell(f"dropping what {pid} at {line.peer.endpoint} tells of its experience: {error}")
+                line.misfit = True
             return
         steps = len(columns["letters"])
         if steps:
