@@ -51,10 +51,10 @@ class WaterworldEnv(gymnasium.Env[NDArray[Any], Any]):
       both are beyond the agent's power by now;
     - for each ball, colour by colour in the order of ``propositions`` and within a colour the nearest first:
       1 if some command can touch it, and then the command (by 4.5) that would put the agent's centre on the
-      ball's two moves from now, which is the first place the present command can reach, or 0, 0; the offset
-      from the agent to the ball now (by 240); and the ball's velocity (by 8 times its top speed). A command
-      touches the ball if it is off by at most 1 per axis. The last four numbers are small so that the few
-      balls within reach are not drowned by the many that are not.
+      ball's two moves from now, which is the first place the present command can reach (0 on an axis whose
+      command is ignored), or 0, 0; the offset from the agent to the ball now (by 240); and the ball's velocity
+      (by 8 times its top speed). A command touches the ball if it is off by at most 1 per axis. The last four
+      numbers are small so that the few balls within reach are not drowned by the many that are not.
 
     Observation ``"raw"``, the authors' 76 or 100 numbers: x, y, vx, vy of each ball, then of the agent.
     """

@@ -30,7 +30,8 @@ START = (SIDE / 2, SIDE / 2, 0.0, 0.0)
 
 _AGENT_FEATURES = 6
 _BALL_FEATURES = 7
-REACH = TOP_COMMAND + 2 * RADIUS  # how far, per axis, a ball can be off and yet be touched by a command
+TOUCH = 2 * RADIUS  # how far, per axis, the agent can be off a ball that it touches
+REACH = TOP_COMMAND + TOUCH  # how far, per axis, a ball can be off and yet be touched by a command
 DISTANT = 1 / 8  # how much smaller the numbers of all balls are than those of the few within reach: docs/decisions/018
 
 
@@ -117,22 +118,23 @@ def _features(palette: Palette, states: NDArray[np.float64]) -> NDArray[np.float
     # "later" after the one after that, in which the command given now moves the agent.
     soon = states.copy()
     soon[:2] += soon[2:]
-    ignored = reflect(soon)[:, :, AGENT]
+    ignored = reflect(soon)[:, :, AGENT:]
+    agent_later = soon[:2, :, AGENT:] + np.where(ignored, soon[2:, :, AGENT:], 0)  # but for a command that counts
     later = np.clip(soon[:2, :, :AGENT] + soon[2:, :, :AGENT], 0, SIDE)
     by_ball = np.empty((_BALL_FEATURES, count, balls))
     within = by_ball[0]
-    lead = np.subtract(later, soon[:2, :, AGENT:], out=by_ball[1:3])
+    lead = np.subtract(later, agent_later, out=by_ball[1:3])
     offsets = np.subtract(states[:2, :, :AGENT], states[:2, :, AGENT:], out=by_ball[3:5])
     order = _nearest_first(lead)
     out = np.empty((count, _AGENT_FEATURES + 2 * colours + balls * _BALL_FEATURES), np.float32)
     out[:, 0:2] = states[:2, :, AGENT].T / (SIDE / 2) - 1
     out[:, 2:4] = states[2:, :, AGENT].T / TOP_COMMAND
-    out[:, 4:6] = ignored.T
+    out[:, 4:6] = ignored[..., 0].T
     out[:, 6 : 6 + colours] = _touched(offsets, colours)
     soon_offsets = soon[:2, :, :AGENT] - soon[:2, :, AGENT:]
     out[:, 6 + colours : 6 + 2 * colours] = _touched(soon_offsets, colours)
-    np.less_equal(_reach(lead), REACH, out=within)
-    lead *= within / REACH
+    within[:] = (np.abs(lead) <= np.where(ignored, TOUCH, REACH)).all(axis=0)
+    lead *= np.where(ignored, 0, within / REACH)
     offsets *= DISTANT / SIDE
     np.multiply(states[2:, :, :AGENT], DISTANT / palette.top_speed, out=by_ball[5:7])
     by_row = by_ball.reshape(_BALL_FEATURES, -1).take(order, axis=1).reshape(_BALL_FEATURES, count, balls)
@@ -154,7 +156,7 @@ def _nearest_first(offsets: NDArray[np.float64]) -> NDArray[np.intp]:
 
 def _touched(offsets: NDArray[np.float64], colours: int) -> NDArray[np.bool_]:
     """Which colours have a ball at ``offsets`` (2, N, balls) that touches the agent: bool (N, colours)."""
-    near = (_reach(offsets) <= 2 * RADIUS).reshape(-1, colours, BALLS_PER_COLOUR)
+    near = (_reach(offsets) <= TOUCH).reshape(-1, colours, BALLS_PER_COLOUR)
     touched: NDArray[np.bool_] = near[..., 0] | near[..., 1] | near[..., 2]
     return touched
 

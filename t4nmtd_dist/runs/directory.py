@@ -6,19 +6,17 @@ import csv
 import fcntl
 import json
 import os
-import platform
 import shutil
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from datetime import UTC, datetime
-from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import IO, Any
 
 import tomli_w
 
-from t4nmtd_dist import __version__
 from t4nmtd_dist.config import TaskConfig
 from t4nmtd_dist.errors import RunError
+from t4nmtd_dist.runs.versions import versions
 
 CONFIG_FILE = "config.toml"
 SUMMARY_FILE = "summary.json"
@@ -26,7 +24,6 @@ ENDPOINTS_FILE = "endpoints.json"
 CHECKPOINTS_FOLDER = "checkpoints"
 LOCK_FILE = ".lock"
 ROUNDING_S = 0.001  # of times in the metrics
-PACKAGES = ("torch", "numpy", "gymnasium", "pyzmq", "msgpack", "msgspec", "safetensors", "ltlf2dfa")
 
 
 def default_run_directory(task: str, seed: int) -> Path:
@@ -135,7 +132,7 @@ class RunDirectory:
         run = {"seed": seed, "max_interactions": max_interactions}
         settings = {key: value for key, value in config.to_dict().items() if key != "max_interactions"}
         write_atomically(self.path / CONFIG_FILE, tomli_w.dumps({**settings, **run}))
-        write_atomically(self.path / "versions.json", json.dumps(_versions(), indent=1))
+        write_atomically(self.path / "versions.json", json.dumps(versions(), indent=1))
 
     def write_endpoints(self, control: str, state: str) -> None:
         """Where the coordinator listens, for those who started it."""
@@ -181,17 +178,3 @@ def read_summary(path: Path) -> dict[str, Any]:
     except (OSError, ValueError) as error:
         raise RunError(f"no readable {SUMMARY_FILE} in {path}: {error}") from None
     return summary
-
-
-def _versions() -> dict[str, str]:
-    return {"t4nmtd-dist": __version__, "python": platform.python_version(), **_package_versions(PACKAGES)}
-
-
-def _package_versions(names: Sequence[str]) -> dict[str, str]:
-    found = {}
-    for name in names:
-        try:
-            found[name] = version(name)
-        except PackageNotFoundError:
-            continue
-    return found

@@ -1,0 +1,44 @@
+"""The versions of everything that computes in a run."""
+
+from __future__ import annotations
+
+import platform
+import subprocess
+from collections.abc import Iterator
+from importlib.metadata import PackageNotFoundError, version
+from pathlib import Path
+
+import t4nmtd_dist
+
+PACKAGES = ("torch", "numpy", "gymnasium", "pyzmq", "msgpack", "msgspec", "safetensors", "ltlf2dfa")
+SOURCES = Path(t4nmtd_dist.__file__).resolve().parent.parent
+GIT_S = 5.0
+
+
+def versions() -> dict[str, str]:
+    """Of this package (and its commit, where it is a Git checkout), of Python, and of the packages that compute."""
+    found = {"t4nmtd-dist": t4nmtd_dist.__version__, "python": platform.python_version()}
+    commit = commit_of(SOURCES)
+    if commit:
+        found["commit"] = commit
+    return found | dict(_installed())
+
+
+def commit_of(checkout: Path) -> str | None:
+    """The commit that is checked out, with ``-dirty`` after it if tracked files differ; None if it cannot be told."""
+    if not (checkout / ".git").exists():
+        return None
+    command = ["git", "-C", str(checkout), "describe", "--always", "--dirty", "--abbrev=12", "--exclude=*"]
+    try:
+        done = subprocess.run(command, capture_output=True, text=True, timeout=GIT_S, check=True)
+    except (OSError, subprocess.SubprocessError):
+        return None
+    return done.stdout.strip() or None
+
+
+def _installed() -> Iterator[tuple[str, str]]:
+    for name in PACKAGES:
+        try:
+            yield name, version(name)
+        except PackageNotFoundError:
+            continue
