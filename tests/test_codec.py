@@ -130,7 +130,7 @@ EXAMPLES: list[Message] = [
     WeightsRequest(pid="g", newer_than=-1),
     WeightsReply(version=1),
     ExperienceRequest(pid="g", step=5),
-    ExperienceReply(first=3, written=9),
+    ExperienceReply(first=3, written=9, origin="a1"),
     DashboardState(
         task="task7",
         title="t",

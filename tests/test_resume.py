@@ -359,6 +359,17 @@ def test_a_killed_learner_goes_on_and_counts_only_what_it_does_then() -> None:
     assert work.talk.state.records["p1"].version == 6
 
 
+def test_processor_time_is_told_on_after_a_kill() -> None:
+    work = Work()
+    work.session.processor_s = 600.0
+    work.iterate(1)
+    work.claim(work.kept())
+    for spent in (2.0, 5.0):
+        work.session.processor_s = spent
+        work.iterate(1)
+        assert work.talk.state.learners_s == 600.0 + spent
+
+
 def test_a_checkpoint_newer_than_the_coordinators_weights_is_told_to_it() -> None:
     work = Work()
     work.iterate(2)

@@ -191,6 +191,19 @@ def test_what_a_peer_tells_anew_does_not_go_on_from_what_it_told_before(
     assert not kept(experience)["ended"][3].all(), "or nothing had to be changed"
 
 
+def test_a_peer_that_begins_anew_and_has_caught_up_is_noticed(context: Context, service: CriticService) -> None:
+    critic, first, second = small_sac("g1").published, lived(4, 2, 50), lived(6, 2, 50, seed=1)
+    service.serve("g1", critic, first)
+    copies = PeerExperience(context, "asker", lambda: first.alike(50), LETTERS)
+    copies.set_peers({"g1": at(service.endpoint)})
+    follow(copies, "g1", 4)
+    service.serve("g1", critic, second)
+    joined = kept(follow(copies, "g1", 10))
+    assert np.array_equal(joined["actions"], np.concatenate([kept(each)["actions"] for each in (first, second)]))
+    assert joined["ended"][3].all(), "no return reaches from the one into the other"
+    copies.close()
+
+
 def test_much_experience_comes_in_parts(context: Context, service: CriticService) -> None:
     learner, count = small_sac("g1"), 2
     wide = Experience(3000, count, 200, ACTIONS)
@@ -317,7 +330,7 @@ def test_bad_columns_leave_what_is_there_and_are_told_of_once(context: Context) 
         (ExperienceReply(first=0, written=3), good),
     ]
     for message, arrays in answers:
-        while not router.poll(10):
+        while not router.poll(1):
             copies.pull()
         received = receive_from(router)
         assert received is not None

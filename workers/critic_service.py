@@ -204,7 +204,8 @@ class CriticService:
             return _early("experience", request.pid, self._experience_pace)
         self._experience_pace.note(peer, request.pid)
         first, columns = experience.since(request.step, EXPERIENCE_BYTES)
-        return ExperienceReply(first=first, written=experience.written), with_prefix("experience.", columns)
+        reply = ExperienceReply(first=first, written=experience.written, origin=experience.origin)
+        return reply, with_prefix("experience.", columns)
 
     def _values(self, pid: str, requests: Sequence[Envelope]) -> list[Answer]:
         """Answers to the value requests of one sub-task, from one evaluation if all of them are good."""

@@ -95,7 +95,8 @@ class LearnerSession:
     def go_on_from(self, state: State, granted: Granted, arrays: Mapping[str, NDArray[Any]]) -> None:
         """Go on from a checkpoint of this run under a new lease; weights that came with the lease are kept if newer.
 
-        Counts begin anew: most of what the checkpoint holds was told under an earlier lease, and so was its progress.
+        What the checkpoint's learner told under an earlier lease is not told again; the counts of intervention and of
+        processor time, which are not the learner's own, begin at 0.
 
         Raises:
             RunError, PolicyError: if the checkpoint is of another kind of learner.
@@ -107,7 +108,7 @@ class LearnerSession:
         self.learner.attempts.take_progress()
         self._counts = InterventionCounts()
         told = msgspec.convert(state["lease"]["told"], LearnerStats)
-        self._told_before = msgspec.structs.replace(told, intervention=Intervention())
+        self._told_before = msgspec.structs.replace(told, intervention=Intervention(), processor_s=self.processor_s)
 
     def state(self) -> State:
         """Everything, for a checkpoint; arrays may be views, see ``Learner.state``."""

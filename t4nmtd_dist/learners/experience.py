@@ -9,6 +9,7 @@ likewise (docs/decisions/016): ``since`` hands rows out, ``extend`` takes those 
 from __future__ import annotations
 
 import threading
+import uuid
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
@@ -93,9 +94,13 @@ class Experience:
         count: N.
         observation_size: d.
         action_size: A.
+
+    Attributes:
+        origin: another for every object, so that who copies from it notices when it is replaced.
     """
 
     def __init__(self, steps: int, count: int, observation_size: int, action_size: int) -> None:
+        self.origin = uuid.uuid4().hex
         self.steps, self._count = steps, count
         rows = steps * count
         self.observations = np.zeros((rows, observation_size), np.float32)

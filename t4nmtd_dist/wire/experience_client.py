@@ -24,6 +24,7 @@ if TYPE_CHECKING:
 ASK_EVERY_S = 0.25
 ASK_FOR_REST_AFTER_S = 0.12  # peers answer ten times a second
 ANSWER_WITHIN_S = 5.0
+AFTER_MISFIT_S = 60.0
 
 
 @dataclass
@@ -31,6 +32,7 @@ class _Line:
     """The connection to one peer.
 
     Attributes:
+        origin: of the record that the steps are counted in; empty before the first answer.
         step: number of the step that is asked for next.
         stored: number of the step after the one stored last; -1 if over this connection none was.
         request: number of the request without an answer; 0 for none.
@@ -40,6 +42,7 @@ class _Line:
 
     peer: Peer
     socket: Socket
+    origin: str = ""
     step: int = 0
     stored: int = -1
     request: int = 0
@@ -50,7 +53,8 @@ class _Line:
 class PeerExperience(PeerClient[_Line]):
     """Pulls what peers have lived through since the last time; never waits.
 
-    What is here of a peer that moves or goes away stays; a peer that is back tells everything again.
+    What is here of a peer that moves or goes away stays; a peer that is back, or has begun anew, tells everything
+    again.
 
     Args:
         context: the process's ZeroMQ context.
@@ -94,11 +98,16 @@ class PeerExperience(PeerClient[_Line]):
         line.ask_at = self._clock() + (ANSWER_WITHIN_S if line.request else ASK_EVERY_S)
 
     def _take(self, pid: str, line: _Line, envelope: Envelope) -> None:
-        """Store an answer; one that does not fit is told of, and counts as none."""
+        """Store an answer; one that does not fit is told of, and the peer not asked again for a minute."""
         line.ask_at = self._clock() + ASK_EVERY_S
         reply = envelope.message
         if not isinstance(reply, ExperienceReply):
             return
+        if reply.origin != line.origin:
+            asked_of_another = line.step > 0
+            line.origin, line.step, line.stored = reply.origin, 0, -1
+            if asked_of_another:
+                return
         room = self.copies.get(pid)
         if room is None:
             room = self._make()
@@ -108,6 +117,7 @@ class PeerExperience(PeerClient[_Line]):
             if not line.misfit:
                 self._tell(f"dropping what {pid} at {line.peer.endpoint} tells of its experience: {error}")
                 line.misfit = True
+            line.ask_at = self._clock() + AFTER_MISFIT_S
             return
         steps = len(columns["letters"])
         if steps:

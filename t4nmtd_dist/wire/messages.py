@@ -216,12 +216,14 @@ class ExperienceRequest(Message, frozen=True, tag="experience_request"):
 class ExperienceReply(Message, frozen=True, tag="experience_reply"):
     """Peer -> learner. arrays: ``experience.*`` [T, N, ...], T steps of N copies of the world from ``first`` on.
 
-    ``first`` is above what was asked for where the peer does not keep the steps before it any more, and below after
-    the peer has begun anew; ``written`` is the number of steps that it has made.
+    ``first`` is above what was asked for where the peer does not keep the steps before it any more, and below if it
+    has not made as many; ``written`` is the number of steps that it has made. ``origin`` names the record that the
+    numbers count in: after a peer has begun anew, be it from a checkpoint, there is another.
     """
 
     first: int
     written: int
+    origin: str = ""
 
 
 class LearnerRow(Message, frozen=True):
