@@ -364,6 +364,20 @@ def test_the_average_is_a_mean_of_the_first_actors_and_then_follows_them(share: 
     np.testing.assert_allclose(updater.weights()["average.0.weight"], expected, atol=1e-6)
 
 
+def test_an_average_that_came_with_weights_is_gone_on_from() -> None:
+    settings = dataclasses.replace(SMALL, actor_average=0.01)
+    old, new = SACUpdater(5, 2, settings, seed=1), SACUpdater(5, 2, settings, seed=2)
+    for step in range(30):
+        old.update(random_batch(8, 5, 2, step))
+    before = old.weights()
+    new.load(before)
+    new.update(random_batch(8, 5, 2, 31))
+    after = new.weights()
+    expected = 0.99 * before["average.0.weight"] + 0.01 * after["actor.0.weight"]
+    np.testing.assert_allclose(after["average.0.weight"], expected, atol=1e-7)
+    assert np.abs(before["average.0.weight"] - before["actor.0.weight"]).max() > 1e-3, "or there was nothing to lose"
+
+
 def test_updates_without_the_actor_move_the_critics_as_updates_with_it_do() -> None:
     batch, noise = random_batch(8, 5, 2), np.random.default_rng(0).standard_normal((2, 16), np.float32)
     both, rarely = (SACUpdater(5, 2, dataclasses.replace(SMALL, actor_every=every), seed=1) for every in (1, 2))

@@ -77,6 +77,7 @@ class SACParameters:
         self._actor = Stack(actor, self._generator, device=device)
         self._average = Stack(actor, device=device)
         self._average.flat.copy_(self._actor.flat)
+        self._averaged = 0  # actors in the average
         self._critics = Stack(critics, self._generator, device=device)
         self._targets = Stack(critics, device=device)
         self._targets.flat.copy_(self._critics.flat)
@@ -100,7 +101,8 @@ class SACParameters:
 
     def _average_actor(self) -> None:
         """To be called after every step of the actor."""
-        share = max(self.settings.actor_average, 1.0 / self._optimisers["actor"].steps)
+        self._averaged += 1
+        share = max(self.settings.actor_average, 1.0 / self._averaged)
         self._average.flat.lerp_(self._actor.flat, share)
 
     def scale_learning_rate(self, factor: float) -> None:
@@ -131,6 +133,7 @@ class SACParameters:
         for part, stack in self._stacks().items():
             stack.load(part_of(weights, part))
         self._log_alpha.copy_(torch.from_numpy(np.asarray(weights["log_alpha"])))
+        self._averaged = round(1.0 / self.settings.actor_average)  # an average of many, as far as weights tell
 
     def optimiser_state(self) -> Weights:
         """See ``SoftActorCritic.optimiser_state``."""
@@ -139,10 +142,12 @@ class SACParameters:
             for part, optimiser in self._optimisers.items()
             for name, array in optimiser.state().items()
         }
-        return named | {"generator": self._generator.get_state().numpy().copy()}
+        averaged = np.array(self._averaged, np.int64)
+        return named | {"averaged": averaged, "generator": self._generator.get_state().numpy().copy()}
 
     def load_optimiser_state(self, state: Mapping[str, NDArray[Any]]) -> None:
         """See ``SoftActorCritic.load_optimiser_state``."""
         for part, optimiser in self._optimisers.items():
             optimiser.load_state(part_of(state, part))
+        self._averaged = int(state.get("averaged", state["actor.steps"]))  # checkpoints of before lack the first
         self._generator.set_state(torch.from_numpy(np.asarray(state["generator"], np.uint8)))
