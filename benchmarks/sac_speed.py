@@ -1,10 +1,10 @@
 """Gradient updates per second of our SAC against Stable-Baselines3's, same networks and batch, one thread each.
 
 An update is all of: sampling the batch, critics, actor, entropy coefficient, target networks. Ours samples as a learner
-does with the default settings: a share from before successes, a share read in drawn DFA states, n-step returns. The
-two take turns, so that a busy machine slows both alike; processor time is what counts, wall-clock time is shown
-beside it. The share of the peak is the update's necessary arithmetic against the rate of square sgemm products
-measured in the same turns.
+does with the default settings: half from a peer's experience, a share from before successes, a share read in drawn DFA
+states, n-step returns, rows whose value is a peer's; asking for these values is not in it. The two take turns, so that
+a busy machine slows both alike; processor time is what counts, wall-clock time is shown beside it. The share of the
+peak is the update's necessary arithmetic against the rate of square sgemm products measured in the same turns.
 Run ``python benchmarks/sac_speed.py [--json]``; it needs Stable-Baselines3 (the ``test`` extra).
 """
 
@@ -17,6 +17,7 @@ os.environ["OPENBLAS_NUM_THREADS"] = "1"
 os.environ["MKL_NUM_THREADS"] = "1"
 
 import argparse
+import dataclasses
 import itertools
 import json
 import statistics
@@ -27,21 +28,23 @@ from dataclasses import dataclass, field
 import gymnasium
 import numpy as np
 import torch
+from numpy.typing import NDArray
 from stable_baselines3 import SAC
 from stable_baselines3.common.logger import Logger
 
 from t4nmtd_dist.compiled import CompiledTask, compile_task
 from t4nmtd_dist.config import SACConfig
 from t4nmtd_dist.learners.experience import Experience
-from t4nmtd_dist.learners.networks import product_state
 from t4nmtd_dist.learners.products import multiply
-from t4nmtd_dist.learners.sac_update import SACBatch, SACSettings, SACUpdater
-from t4nmtd_dist.product import SubtaskTables, subtask_tables
+from t4nmtd_dist.learners.sac_batches import BatchSource
+from t4nmtd_dist.learners.sac_interface import PeerSoftValues, SACBatch, SACSettings
+from t4nmtd_dist.learners.sac_update import SACUpdater
+from t4nmtd_dist.product import subtask_tables
 from t4nmtd_dist.tasks import load_task
 
 OBSERVATION, ACTIONS, HIDDEN, BATCH = 76, 2, (256, 256), 256
 TASK, PID = "task6", "g1"  # its automaton is read, its world is not opened
-STORED, WORLDS, ATTEMPT, CHANGES, GAMMA = 20_000, 4, 50, 0.05, 0.99
+STORED, WORLDS, ATTEMPT, CHANGES, SUCCESS = 20_000, 4, 50, 0.05, 0.5
 PEAK_SIDE = 256
 
 
@@ -71,29 +74,33 @@ class Timed:
 
 
 class Sampling:
-    """Batches from a replay of random experience of one sub-task, drawn as ``learners.sac`` draws them."""
+    """Batches as a learner with successes draws them, from random experience of its own and of one peer."""
 
     def __init__(self) -> None:
         task = compile_task(load_task(TASK))
-        self._delta, self._states = task.dfa.delta, task.dfa.states
-        self._tables: SubtaskTables = subtask_tables(
-            task.dfa, task.decomposition, PID, task.rho, gamma=GAMMA, shaping=task.config.learner.shaping
+        learner, states, pids = task.config.learner, task.dfa.states, task.decomposition.pids
+        tables = subtask_tables(
+            task.dfa, task.decomposition, PID, task.rho, gamma=learner.gamma, shaping=learner.shaping
         )
-        self._readable = np.flatnonzero(self._tables.available).astype(np.int32)
+        high_level = task.q_table()
+        high_level.load((q, pid, 1.0) for q in range(states) for pid in task.decomposition.available(q))
         self._rng = np.random.default_rng(0)
-        self._experience = self._filled(task)
+        own, peers = (self._filled(task, np.flatnonzero(tables.available)) for _ in range(2))
+        sac = dataclasses.replace(SACConfig(), batch=BATCH)
+        self._source = BatchSource(PID, own, tables, task.dfa.delta, learner, sac, high_level, self._rng)
+        self._source.others = {next(pid for pid in pids if pid != PID): peers}
 
-    def _filled(self, task: CompiledTask) -> Experience:
+    def _filled(self, task: CompiledTask, readable: NDArray[np.intp]) -> Experience:
         """Observations are as wide as leaves 76 for the networks; every 50th step ends an attempt, half succeed."""
-        rng, width = self._rng, OBSERVATION - task.dfa.states
+        rng, width, letters = self._rng, OBSERVATION - task.dfa.states, task.dfa.delta.shape[1]
         experience = Experience(STORED // WORLDS, WORLDS, width, ACTIONS)
         for step in range(STORED // WORLDS):
             ended = np.full(WORLDS, step % ATTEMPT == ATTEMPT - 1)
             experience.add(
                 rng.standard_normal((WORLDS, width), np.float32),
-                rng.choice(self._readable, WORLDS),
+                rng.choice(readable, WORLDS).astype(np.int32),
                 rng.uniform(-1, 1, (WORLDS, ACTIONS)).astype(np.float32),
-                np.where(rng.random(WORLDS) < CHANGES, rng.integers(self._delta.shape[1], size=WORLDS), 0),
+                np.where(rng.random(WORLDS) < CHANGES, rng.integers(letters, size=WORLDS), 0),
                 rng.standard_normal((WORLDS, width), np.float32),
                 np.zeros(WORLDS, np.bool_),
                 ended,
@@ -101,27 +108,18 @@ class Sampling:
             )
         return experience
 
-    def draw(self, sac: SACConfig) -> SACBatch:
-        """A batch for the networks."""
-        experience, rng = self._experience, self._rng
-        rows = experience.sample(BATCH, sac.success_share, rng)
-        other = self._readable[rng.integers(len(self._readable), size=BATCH)]
-        q = np.where(rng.random(BATCH) < sac.relabel_share, other, experience.q[rows])
-        returns = experience.returns(rows, q, self._tables, self._delta, GAMMA, sac.n_step)
-        return SACBatch(
-            states=product_state(experience.observations[rows], q, self._states),
-            actions=torch.from_numpy(experience.actions[rows]),
-            rewards=torch.from_numpy(returns.reward.astype(np.float32)),
-            discounts=torch.from_numpy(returns.discount.astype(np.float32)),
-            next_states=product_state(experience.next_observations[returns.last], returns.q_next, self._states),
-        )
+    def draw(self) -> tuple[SACBatch, PeerSoftValues]:
+        """A batch for the networks, and values of peers for the rows that are theirs."""
+        drawn = self._source.draw(0, SUCCESS)
+        values, log_probs = self._rng.standard_normal((2, len(drawn.asked_rows)), np.float32)
+        return drawn.tensors(), PeerSoftValues(drawn.asked_rows, values, log_probs)
 
 
 def our_update(*, layer_norm: bool, actor_every: int = 1) -> Callable[[], object]:
     settings = SACSettings(hidden=HIDDEN, layer_norm=layer_norm, actor_every=actor_every)
     updater = SACUpdater(OBSERVATION, ACTIONS, settings, seed=0)
-    sampling, sac = Sampling(), SACConfig()
-    return lambda: updater.update(sampling.draw(sac))
+    sampling = Sampling()
+    return lambda: updater.update(*sampling.draw())
 
 
 def their_updates(count: int) -> Callable[[], object]:

@@ -1,4 +1,4 @@
-"""Policy intervention in a run: what it does to critics, whichever way the values come."""
+"""Policy intervention in a serial run, where peers are in the same process, whichever way is set."""
 
 from __future__ import annotations
 
@@ -32,10 +32,14 @@ def critics_after(algorithm: str, mode: str) -> dict[str, NDArray[np.float32]]:
 
 
 @pytest.mark.parametrize("algorithm", ["ppo", "sac"])
-def test_intervention_changes_the_critic_and_only_that_way_of_bootstrapping(algorithm: str) -> None:
+def test_peers_values_change_the_critic(algorithm: str) -> None:
     on, off = critics_after(algorithm, "query"), critics_after(algorithm, "off")
-    assert on
-    for mode in ("local", "replica"):
-        again = critics_after(algorithm, mode)
-        assert all(np.array_equal(on[name], again[name]) for name in on)
     assert any(not np.array_equal(on[name], off[name]) for name in on)
+
+
+@pytest.mark.parametrize("algorithm", ["ppo", "sac"])
+@pytest.mark.parametrize("way", ["local", "replica"])
+def test_a_serial_run_needs_no_wire_whatever_way_is_set(algorithm: str, way: str) -> None:
+    """How the ways compare between processes is told in ``test_intervention.py``."""
+    one, another = critics_after(algorithm, "query"), critics_after(algorithm, way)
+    assert all(np.array_equal(one[name], another[name]) for name in one)
