@@ -64,7 +64,8 @@ class Evaluator:
 
         Args:
             policy: what acts.
-            perturb: each episode begins with k random actions, k uniform in 0..perturb.
+            perturb: each episode begins with k random actions, k uniform in 0..perturb. Actions that end the episode
+                by themselves are drawn again, and k too, so that where chance is deadly k is smaller on the whole.
 
         Raises:
             PolicyError: if the policy learned from observations of another size than the world's.
