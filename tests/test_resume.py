@@ -428,6 +428,15 @@ def test_a_learner_outlives_its_coordinator_and_tells_a_resumed_one_only_what_is
     assert work.counted == 4 * STEPS  # a new run is told everything
 
 
+def test_a_learner_is_of_no_use_to_a_coordinator_that_trains_something_else() -> None:
+    work = Work()
+    again = Conversation().claim("p1")
+    assert work.session.goes_on_in(again)
+    assert work.session.goes_on_in(msgspec.structs.replace(again, run_id="another"))
+    for changed in ({"seed": 1}, {"task": {**again.task, "formula": "F(g)"}}, {"rho": [0.0]}):
+        assert not work.session.goes_on_in(msgspec.structs.replace(again, run_id="another", **changed))
+
+
 def test_the_coordinator_goes_on_from_counts_alone_if_there_is_no_checkpoint_yet(tmp_path: Path) -> None:
     talk = talked()
     write_counts(tmp_path, {"run_id": "", **saved_counts(talk.state)})

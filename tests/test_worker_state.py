@@ -6,6 +6,7 @@ from itertools import pairwise
 from typing import Any, TypeVar
 
 import pytest
+from coordinator_events import Conversation
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -203,6 +204,55 @@ def test_after_a_restart_of_the_coordinator_the_lease_is_claimed_again() -> None
     assert len(of(Begin, state.hear(5.2, granted("p1", epoch=1)))) == 1
 
 
+def test_after_a_restart_a_worker_without_pids_asks_for_what_it_held() -> None:
+    state = worker()
+    state.hear(0.1, granted("p2", epoch=4))
+    actions = state.hear(1.0, Refused(reason="stale epoch", text="unknown here", final=False, pid="p2"))
+    assert (of(End, actions), of(Exit, actions)) == ([], []), "what was learned is kept"
+    assert [ask.claim.pid for ask in of(Ask, state.tick(1.1))] == ["p2"]
+    refused = Refused(reason="lease is live", text="another was faster", final=True, pid="p2")
+    actions = state.hear(1.2, refused)
+    assert ([end.pid for end in of(End, actions)], of(Exit, actions)) == (["p2"], [])
+    assert [ask.claim.pid for ask in of(Ask, state.tick(1.3))] == [None]
+
+
+@settings(deadline=None)
+@given(order=st.permutations(range(4)), faster=st.booleans())
+def test_after_a_restart_everybody_goes_on_with_what_is_held_or_ends_it(order: list[int], faster: bool) -> None:
+    """``faster``: a worker that stood by claims a sub-task before its learner hears of the restart."""
+    workers = {f"w{number}": WorkerState("learner", f"w{number}", (), ENDPOINT, "", WAIT_S, 0.0) for number in range(4)}
+    working: dict[str, set[str]] = {name: set() for name in workers}
+
+    def follow(talk: Conversation, name: str, now: float, actions: list[Action]) -> None:
+        for action in actions:
+            if isinstance(action, Ask):
+                for sent in talk.answers(name, action.claim):
+                    follow(talk, name, now, workers[name].hear(now, sent.message))
+            elif isinstance(action, Begin):
+                working[name].add(action.granted.pid)
+            elif isinstance(action, End):
+                working[name].discard(action.pid)
+
+    first, second = Conversation(), Conversation()
+    for name, state in workers.items():
+        follow(first, name, 0.0, state.tick(0.0))
+    before = {name: set(pids) for name, pids in working.items()}
+    assert sorted(pid for pids in before.values() for pid in pids) == ["g", "p1", "p2", "p3"]
+    if faster:
+        second.claim("p1", "stranger")
+    for number in order:
+        name = f"w{number}"
+        (pid,) = before[name]
+        stale = second.answer(name, second.sync_message(pid, name, epoch=1))
+        follow(second, name, 1.0, workers[name].hear(1.0, stale))
+        follow(second, name, 1.0, workers[name].tick(1.0))
+    if not faster:
+        assert working == before
+    assert all(set(state.held) == working[name] for name, state in workers.items())
+    held = [pid for pids in working.values() for pid in pids]
+    assert len(held) == len(set(held)) == 4 - faster
+
+
 def test_an_evaluator_that_lost_its_place_claims_it_again() -> None:
     state = worker(role="evaluator")
     state.hear(0.1, granted("evaluator", role="evaluator"))
@@ -231,7 +281,7 @@ events = st.one_of(
 @settings(max_examples=80)
 @given(pids=st.sampled_from([(), ("p1",), ("p1", "g")]), told=st.lists(events, max_size=15))
 def test_nothing_is_held_twice_and_what_is_held_is_not_asked_for(pids: tuple[str, ...], told: list[Any]) -> None:
-    state = worker(*pids)
+    state, working = worker(*pids), set[str]()
     for turn, message in enumerate(told):
         actions = state.tick(float(turn)) if message is None else state.hear(float(turn), message)
         assert len(state.held) == len(set(state.held))
@@ -239,5 +289,11 @@ def test_nothing_is_held_twice_and_what_is_held_is_not_asked_for(pids: tuple[str
             assert set(state.held) <= set(pids)
         for ask in of(Ask, actions):
             assert ask.claim.pid not in state.held
+        working |= {begin.granted.pid for begin in of(Begin, actions)}
+        working -= {end.pid for end in of(End, actions)}
+        if isinstance(message, Refused) and message.final and message.pid:
+            assert message.pid not in working
+        assert set(state.held) <= working
+        assert len(working) <= len(pids or state.held) + 1
         if of(Exit, actions):
             return

@@ -95,10 +95,11 @@ class Neighbours:
         remote = self._remote.pop(pid, None)
         if remote is not None:
             remote.close()
+        if not self._lived and self.experience is not None:
+            self.experience.close()
+            self.experience = None
 
     def close(self) -> None:
         """Close all connections."""
         for pid in list(self._critics):
             self.leave(pid)
-        if self.experience is not None:
-            self.experience.close()

@@ -64,10 +64,17 @@ Action = Ask | Begin | End | GiveBack | Say | Exit
 
 @dataclass
 class _Place:
-    """Something this worker wants to hold: a given pid, or None for any free one."""
+    """Something this worker wants to hold.
+
+    Attributes:
+        wanted: a given pid, or None for any free one.
+        held: the pid held now.
+        kept: the pid held before the coordinator forgot of it: its learner goes on, so it is asked for again.
+    """
 
     wanted: str | None
     held: str | None = None
+    kept: str | None = None
     next_try: float = 0.0
     retry: float = FIRST_RETRY_S
 
@@ -134,7 +141,7 @@ class WorkerState:
     def _ask(self, place: _Place, now: float) -> Ask:
         place.next_try = now + place.retry
         place.retry = min(2 * place.retry, LONGEST_RETRY_S)
-        pid = None if self.role == "evaluator" else place.wanted
+        pid = None if self.role == "evaluator" else place.wanted or place.kept
         return Ask(Claim(role=self.role, instance=self.instance, pid=pid, critic_endpoint=self.critic_endpoint))
 
     def was_deaf(self, since: float, now: float) -> None:
@@ -158,21 +165,32 @@ class WorkerState:
         place = self._place_for(granted.pid)
         if place is None:
             return [GiveBack(granted)]
-        place.held = granted.pid
+        ended = self._let_go(place, "the coordinator gave another sub-task") if place.kept != granted.pid else []
+        place.held, place.kept = granted.pid, None
         place.retry = FIRST_RETRY_S
         self._standing_by = False
         if place.wanted is None and self.role == "learner":
             self._share_due = now + NEXT_SHARE_S
-        return [Begin(granted), Say(f"holds {granted.pid} (epoch {granted.epoch})")]
+        return [*ended, Begin(granted), Say(f"holds {granted.pid} (epoch {granted.epoch})")]
 
     def _place_for(self, pid: str) -> _Place | None:
-        matching = [place for place in self._places if place.held == pid or place.wanted == pid]
+        matching = [place for place in self._places if pid in (place.held, place.kept, place.wanted)]
         open_places = [place for place in self._places if place.held is None and place.wanted is None]
+        open_places.sort(key=lambda place: place.kept is not None)
         return next(iter(matching + open_places), None)
+
+    def _let_go(self, place: _Place, reason: str) -> list[Action]:
+        """End the work on what a place kept."""
+        kept, place.kept = place.kept, None
+        return [] if kept is None or kept in self.held else [End(kept, f"{kept} is over here: {reason}")]
 
     def _refused(self, refused: Refused, now: float) -> list[Action]:
         if refused.reason == "stale epoch":
             return self._stale(refused, now)
+        keeping = [place for place in self._places if place.kept is not None and place.kept == refused.pid]
+        if keeping and keeping[0].wanted is None:
+            keeping[0].next_try = now
+            return self._let_go(keeping[0], refused.text)
         if refused.final:
             return [Exit(2, refused.text)]
         for place in self._places:
@@ -185,15 +203,17 @@ class WorkerState:
 
     def _stale(self, refused: Refused, now: float) -> list[Action]:
         for place in self._places:
-            if refused.pid is None or place.held == refused.pid:
-                ended, place.held = place.held, None
+            if refused.pid is None or refused.pid in (place.held, place.kept):
+                lost = place.held or place.kept
+                place.held, place.kept = None, None if self.role == "evaluator" else lost
                 place.next_try = now
-                if refused.final and ended is not None:
-                    return self._give_up(place, ended, refused)
+                if refused.final and lost is not None:
+                    return self._give_up(place, lost, refused)
         return [Say(refused.text)]
 
     def _give_up(self, place: _Place, pid: str, refused: Refused) -> list[Action]:
         ended: list[Action] = [End(pid, refused.text)]
+        place.kept = None
         if place.wanted is None:
             return ended
         self._places.remove(place)

@@ -281,10 +281,19 @@ class Worker:
 
     def _begin(self, granted: Granted, arrays: Mapping[str, NDArray[Any]]) -> None:
         held = self._sessions.get(granted.pid)
-        if held is not None:
+        if held is not None and held.goes_on_in(granted):
             held.renew(granted)
-        else:
-            self._waiting[granted.pid] = WaitingLease(granted, arrays)
+            return
+        if granted.role == "learner":
+            self._end_those_of_another_training(granted)
+        self._waiting[granted.pid] = WaitingLease(granted, arrays)
+
+    def _end_those_of_another_training(self, granted: Granted) -> None:
+        """Learners that outlived their coordinator are of no use to one that trains something else."""
+        for pid, session in list(self._sessions.items()):
+            if not session.goes_on_in(granted):
+                say(f"{pid} is over here: the coordinator trains another task now, or with another seed or settings")
+                self._end(pid)
 
     def _open_sessions(self) -> None:
         """Start work under the leases that wait for it, as soon as everything is loaded."""
