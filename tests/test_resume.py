@@ -25,7 +25,7 @@ from t4nmtd_dist.launch.serial import SerialRun
 from t4nmtd_dist.learners.build import build_learner
 from t4nmtd_dist.learners.peers import NoPeers
 from t4nmtd_dist.runs.checkpoints import newest_checkpoint, write_checkpoint
-from t4nmtd_dist.runs.resuming import read_counts, write_counts
+from t4nmtd_dist.runs.resuming import new_identity, read_counts, write_counts, write_identity
 from t4nmtd_dist.runs.state_tree import copied, joined, split
 from t4nmtd_dist.wire.codec import Envelope
 from t4nmtd_dist.wire.messages import (
@@ -39,6 +39,7 @@ from t4nmtd_dist.wire.messages import (
     Release,
     SyncReply,
 )
+from workers.keeping import SessionKeeper
 from workers.learner_session import LearnerSession
 
 EVALUATED = ("evaluation.every=60", "evaluation.episodes=2", "environment.horizon=20", "learner.attempt_steps=12")
@@ -322,7 +323,7 @@ class Work:
         actions = self.talk.answers("w", self.talk.claim_message("p1", "w"))
         granted = actions[0].message
         assert isinstance(granted, Granted)
-        self.session = LearnerSession(granted, actions[0].arrays)
+        self.granted, self.session = granted, LearnerSession(granted, actions[0].arrays)
         if state is not None:
             self.session.go_on_from(state, granted, actions[0].arrays)
 
@@ -368,6 +369,40 @@ def test_processor_time_is_told_on_after_a_kill() -> None:
         work.session.processor_s = spent
         work.iterate(1)
         assert work.talk.state.learners_s == 600.0 + spent
+
+
+def test_runs_that_share_a_folder_keep_their_checkpoints(tmp_path: Path) -> None:
+    told: list[str] = []
+
+    def kept(run_id: str, *, times: int = 0) -> tuple[SessionKeeper, Work]:
+        work, keeper = Work(), SessionKeeper(tmp_path, 300.0, told.append)
+        work.session.run_id = run_id
+        keeper.go_on(work.session, msgspec.structs.replace(work.granted, run_id=run_id), {})
+        for _ in range(times):
+            work.iterate(1)
+            keeper.finish([work.session])
+        return keeper, work
+
+    kept("a", times=2)
+    keeper, work = kept("b", times=4)
+    assert kept("a")[1].session.learner.attempts.interactions == 2 * STEPS
+    assert kept("b")[1].session.learner.attempts.interactions == 4 * STEPS
+    keeper.delete([work.session])
+    assert [path.name for path in tmp_path.iterdir()] == ["a"]
+    assert kept("a")[1].session.learner.attempts.interactions == 2 * STEPS
+
+
+def test_a_run_directory_holds_the_checkpoints_of_its_own_run_alone(tmp_path: Path) -> None:
+    identity, work = new_identity(serial=False), Work()
+    write_identity(tmp_path, identity)
+    keeper = SessionKeeper(tmp_path / "checkpoints", 300.0, print)
+    for run_id in (identity.run_id, "another"):
+        work.session.run_id = run_id
+        keeper.finish([work.session])
+    assert {path.relative_to(tmp_path).as_posix() for path in tmp_path.glob("checkpoints/**/p1")} == {
+        "checkpoints/p1",
+        "checkpoints/another/p1",
+    }
 
 
 def test_a_checkpoint_newer_than_the_coordinators_weights_is_told_to_it() -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Iterable, Mapping
+from contextlib import suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -12,7 +13,7 @@ from numpy.typing import NDArray
 from t4nmtd_dist.errors import PolicyError, RunError
 from t4nmtd_dist.runs.background import BackgroundWriter
 from t4nmtd_dist.runs.checkpoints import Warn, delete_checkpoints, newest_checkpoint
-from t4nmtd_dist.runs.resuming import checkpoint_folder
+from t4nmtd_dist.runs.resuming import checkpoint_folder, read_identity
 from t4nmtd_dist.runs.state_tree import State, copied
 from t4nmtd_dist.wire.messages import Granted
 
@@ -24,7 +25,8 @@ class SessionKeeper:
     """Checkpoints of the learners of one worker.
 
     Args:
-        checkpoints: folder that holds a folder for every sub-task.
+        checkpoints: ``checkpoints/`` of a run directory, which holds a folder for every sub-task; or any other folder,
+            which holds a folder for every run, so that runs do not delete what others need.
         every_s: seconds between two checkpoints of a learner.
         say: called with a line about every checkpoint, from another thread, too.
     """
@@ -38,9 +40,11 @@ class SessionKeeper:
         """Let a fresh session go on from the newest checkpoint of its sub-task in this run, if there is one."""
         self._due[session.pid] = time.monotonic() + self._every_s
         wanted = (granted.run_id, granted.pid)
-        folder = checkpoint_folder(self._checkpoints, granted.pid)
+        folder = self._folder(session)
         found = newest_checkpoint(folder, lambda about: (about["run_id"], about["place"]) == wanted, self._say)
         if found is None:
+            if session.learner.version:
+                self._say(f"{granted.pid}: no checkpoint of it in {folder}; its weights go on, with an empty replay")
             return
         try:
             session.go_on_from(found.state, granted, arrays)
@@ -56,22 +60,31 @@ class SessionKeeper:
         for session in sessions:
             if now >= self._due.get(session.pid, now):
                 self._due[session.pid] = now + self._every_s
-                folder = checkpoint_folder(self._checkpoints, session.pid)
-                self._writer.begin(folder, _about(session), copied(session.state()))
+                self._writer.begin(self._folder(session), _about(session), copied(session.state()))
                 return
 
     def finish(self, sessions: Iterable[LearnerSession]) -> None:
         """Write the last checkpoint of every learner, and wait for it."""
         self._writer.wait()
         for session in sessions:
-            folder = checkpoint_folder(self._checkpoints, session.pid)
-            self._writer.write(folder, _about(session), session.state())
+            self._writer.write(self._folder(session), _about(session), session.state())
 
-    def delete(self, pids: Iterable[str]) -> None:
-        """Delete the checkpoints of sub-tasks: a solved run needs them no more."""
+    def delete(self, sessions: Iterable[LearnerSession]) -> None:
+        """Delete the checkpoints of learners: a solved run needs them no more."""
         self._writer.wait()
-        for pid in pids:
-            delete_checkpoints(checkpoint_folder(self._checkpoints, pid))
+        for session in sessions:
+            delete_checkpoints(self._folder(session))
+            if not self._is_of_run(session.run_id):
+                with suppress(OSError):  # others may have theirs there
+                    (self._checkpoints / session.run_id).rmdir()
+
+    def _folder(self, session: LearnerSession) -> Path:
+        own = self._is_of_run(session.run_id)
+        return checkpoint_folder(self._checkpoints if own else self._checkpoints / session.run_id, session.pid)
+
+    def _is_of_run(self, run_id: str) -> bool:
+        identity = read_identity(self._checkpoints)
+        return identity is not None and identity.run_id == run_id
 
 
 def _about(session: LearnerSession) -> State:

@@ -161,7 +161,7 @@ class Worker:
         self._give_back()
         self._hear_answers(sessions)
         if self._keeper is not None and self._solved:
-            self._keeper.delete(session.pid for session in sessions)
+            self._keeper.delete(sessions)
         elif self._keeper is not None:
             self._keeper.finish(sessions)
 

@@ -64,6 +64,14 @@ def write_identity(run: Path, identity: Identity) -> None:
     write_atomically(folder / IDENTITY_FILE, json.dumps(vars(identity)))
 
 
+def read_identity(checkpoints: Path) -> Identity | None:
+    """Of which run a folder of checkpoints is; None if that is not written there."""
+    try:
+        return msgspec.json.decode((checkpoints / IDENTITY_FILE).read_bytes(), type=Identity)
+    except (OSError, ValueError):
+        return None
+
+
 def read_stopped_run(run: Path) -> StoppedRun:
     """The run in a directory.
 
