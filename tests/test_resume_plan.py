@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 from dataclasses import fields
 from pathlib import Path
 
@@ -101,6 +102,35 @@ def test_a_run_that_is_there_is_refused_with_both_ways_out(tmp_path: Path) -> No
     going_on.unlock()
     assert RunDirectory(run, restart=True).path == run
     assert not (run / "config.toml").exists()
+
+
+@pytest.mark.parametrize("theirs", ["thesis.tex", ".git", "data"])
+def test_a_restart_deletes_nothing_that_no_run_has_written(theirs: str, tmp_path: Path) -> None:
+    run = stopped_run(tmp_path)
+    (run / theirs).mkdir()
+    with pytest.raises(RunError, match=rf"--restart would delete .* with {re.escape(theirs)}"):
+        RunDirectory(run, restart=True)
+    assert (run / "config.toml").exists()
+
+
+def test_a_restart_does_not_take_any_settings_for_a_runs(tmp_path: Path) -> None:
+    (tmp_path / "config.toml").write_text("[tool]\nname = 1\n", encoding="utf-8")
+    with pytest.raises(RunError, match=r"--restart would delete .* with config\.toml"):
+        RunDirectory(tmp_path, restart=True)
+
+
+def test_a_link_or_a_dot_names_the_folder_that_it_is(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    run = stopped_run(tmp_path)
+    assert RunDirectory(tmp_path / "latest", restart=True).path == run
+    monkeypatch.chdir(run)
+    assert RunDirectory(Path(), restart=True).path == run
+    assert (tmp_path / "latest").resolve() == run
+
+
+def test_a_file_called_latest_is_left_alone(tmp_path: Path) -> None:
+    (tmp_path / "latest").write_text("mine", encoding="utf-8")
+    RunDirectory(tmp_path / "run")
+    assert (tmp_path / "latest").read_text(encoding="utf-8") == "mine"
 
 
 def test_a_resume_mends_what_a_killed_process_left_half_written(tmp_path: Path) -> None:

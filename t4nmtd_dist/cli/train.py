@@ -65,11 +65,11 @@ def train(
         return SOLVED
     task = _ready(options, plan)
     hands = dealt(task.decomposition.pids, workers)
+    own = None if keys is None else load_client(keys)
     run = RunDirectory(plan.directory, restart=options.restart, resume=plan.resumes)
     directory = run.path
     interrupted = _Interrupted()
     processes = LocalProcesses(directory)
-    own = None if keys is None else load_client(keys)
     secured = [] if keys is None else ["--keys", str(keys.absolute())]
     try:
         control, publish = processes.start_coordinator([*_coordinator_arguments(options), *secured])

@@ -7,6 +7,7 @@ import fcntl
 import json
 import os
 import shutil
+import tomllib
 from collections.abc import Mapping
 from datetime import UTC, datetime
 from pathlib import Path
@@ -23,7 +24,11 @@ SUMMARY_FILE = "summary.json"
 ENDPOINTS_FILE = "endpoints.json"
 CHECKPOINTS_FOLDER = "checkpoints"
 LOCK_FILE = ".lock"
+VERSIONS_FILE = "versions.json"
+EVENTS_FILE = "events.jsonl"
 ROUNDING_S = 0.001  # of times in the metrics
+FILES = {CONFIG_FILE, SUMMARY_FILE, ENDPOINTS_FILE, LOCK_FILE, VERSIONS_FILE, EVENTS_FILE}
+FOLDERS = {"metrics", "logs", "tensorboard", "policy", CHECKPOINTS_FOLDER}
 
 
 def default_run_directory(task: str, seed: int) -> Path:
@@ -40,6 +45,19 @@ def write_atomically(path: Path, text: str) -> None:
         file.flush()
         os.fsync(file.fileno())
     os.replace(fresh, path)
+
+
+def _is_of_a_run(name: str) -> bool:
+    """Whether a run writes something of this name into its folder, be it for a moment only."""
+    return name in FILES | FOLDERS or (name.startswith(".") and name.endswith(".new"))
+
+
+def _are_of_a_run(settings: Path) -> bool:
+    """Whether settings look like those that ``write_settings`` has written."""
+    try:
+        return {"formula", "seed"} <= tomllib.loads(settings.read_text(encoding="utf-8")).keys()
+    except ValueError:
+        return False
 
 
 def _until(line: str, elapsed_s: float) -> bool:
@@ -65,12 +83,12 @@ class RunDirectory:
     """
 
     def __init__(self, path: Path, *, restart: bool = False, resume: bool = False) -> None:
-        self.path = path
+        self.path = path.resolve() if path.is_symlink() or path.name in ("", "..") else path  # `latest`, or `.`
         self._lock: IO[str] | None = None
         try:
             self._prepare(restart, resume)
         except OSError as error:
-            raise RunError(f"cannot write the run directory {path}: {error.strerror}") from None
+            raise RunError(f"cannot write the run directory {path}: {error.strerror or error}") from None
 
     def _prepare(self, restart: bool, resume: bool) -> None:
         if (self.path / CONFIG_FILE).exists():
@@ -82,16 +100,29 @@ class RunDirectory:
             self.lock()
             self.unlock()
             if restart:
-                shutil.rmtree(self.path)
+                self._delete()
         for name in ("metrics", "logs"):
             (self.path / name).mkdir(parents=True, exist_ok=True)
         self._point_latest()
 
+    def _delete(self) -> None:
+        others = sorted(path.name for path in self.path.iterdir() if not _is_of_a_run(path.name))
+        if others or not _are_of_a_run(self.path / CONFIG_FILE):
+            what = ", ".join(others[:3]) or CONFIG_FILE
+            raise RunError(
+                f"--restart would delete {self.path} with {what}, which no run has written there; move that away, or "
+                "choose another --run-dir"
+            )
+        shutil.rmtree(self.path)
+
     def _point_latest(self) -> None:
-        fresh = self.path.parent / ".latest.new"
+        """Let the link beside the folder point at it, unless something else has that name."""
+        latest, fresh = self.path.parent / "latest", self.path.parent / ".latest.new"
+        if latest.exists() and not latest.is_symlink():
+            return
         fresh.unlink(missing_ok=True)
         fresh.symlink_to(self.path.name, target_is_directory=True)
-        os.replace(fresh, self.path.parent / "latest")
+        os.replace(fresh, latest)
 
     def lock(self) -> None:
         """Claim the folder for this process; the operating system ends the claim with it, however it ends.
@@ -120,7 +151,7 @@ class RunDirectory:
 
     def mend(self, elapsed_s: float) -> None:
         """Before a resume: cut off what a killed process left half-written, and metrics of after ``elapsed_s``."""
-        for path in [self.path / "events.jsonl", *(self.path / "metrics").glob("*.csv")]:
+        for path in [self.path / EVENTS_FILE, *(self.path / "metrics").glob("*.csv")]:
             if path.exists():
                 lines = path.read_text(encoding="utf-8", errors="replace").splitlines(keepends=True)
                 kept = [line for line in lines if line.endswith("\n") and _until(line, elapsed_s)]
@@ -132,7 +163,7 @@ class RunDirectory:
         run = {"seed": seed, "max_interactions": max_interactions}
         settings = {key: value for key, value in config.to_dict().items() if key != "max_interactions"}
         write_atomically(self.path / CONFIG_FILE, tomli_w.dumps({**settings, **run}))
-        write_atomically(self.path / "versions.json", json.dumps(versions(), indent=1))
+        write_atomically(self.path / VERSIONS_FILE, json.dumps(versions(), indent=1))
 
     def write_endpoints(self, control: str, state: str) -> None:
         """Where the coordinator listens, for those who started it."""
@@ -141,7 +172,7 @@ class RunDirectory:
     def log_event(self, elapsed_s: float, text: str) -> None:
         """Append a line to ``events.jsonl``."""
         line = {"utc": datetime.now(UTC).isoformat(timespec="milliseconds"), "elapsed_s": round(elapsed_s, 3)}
-        with (self.path / "events.jsonl").open("a", encoding="utf-8") as file:
+        with (self.path / EVENTS_FILE).open("a", encoding="utf-8") as file:
             file.write(json.dumps({**line, "text": text}) + "\n")
 
     def append_metrics(self, name: str, row: Mapping[str, Any]) -> None:
