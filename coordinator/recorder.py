@@ -2,14 +2,20 @@
 
 from __future__ import annotations
 
-from coordinator.events import Action, Finish, RecordEvaluation, Tell
+from collections.abc import Iterator
+from contextlib import contextmanager
+
+from coordinator.events import Action, Finish, RecordEvaluation
+from coordinator.events import Tell as TellAction
 from coordinator.scalars import evaluation_scalars, learner_scalars
 from coordinator.snapshot import summary
 from coordinator.state import CoordinatorState
+from t4nmtd_dist.errors import RunError
 from t4nmtd_dist.runs.directory import RunDirectory
 from t4nmtd_dist.runs.event_files import TensorBoard, open_event_files
 from t4nmtd_dist.runs.exported import export_policy
 from t4nmtd_dist.wire.messages import EvaluationRow
+from t4nmtd_dist.wire.notices import Notices, Tell
 
 METRICS_EVERY_S = 5.0
 
@@ -21,13 +27,18 @@ class Recorder:
         state: the coordinator's state.
         run: where to write.
         tensorboard: whether to write event files for TensorBoard, too.
+        tell: called with a line about what cannot be written: a full disk ends no training.
 
     Raises:
         ConfigError: if event files were asked for and cannot be written.
     """
 
-    def __init__(self, state: CoordinatorState, run: RunDirectory, tensorboard: TensorBoard = "off") -> None:
+    def __init__(
+        self, state: CoordinatorState, run: RunDirectory, tensorboard: TensorBoard = "off", tell: Tell = print
+    ) -> None:
         self._state, self._run = state, run
+        self._notices = Notices(tell)
+        self._result_due = False
         self._event_files = open_event_files(run.path / "tensorboard", tensorboard, state.interactions)
         self._metrics_due = 0.0
         settings = state.settings
@@ -35,12 +46,22 @@ class Recorder:
 
     def record(self, action: Action) -> None:
         """Write one action down, if it is of that kind."""
-        if isinstance(action, Tell):
-            self._run.log_event(action.elapsed_s, action.text)
-        elif isinstance(action, RecordEvaluation):
-            self._evaluation(action.row)
-        elif isinstance(action, Finish):
-            self._finish()
+        with self._telling():
+            if isinstance(action, TellAction):
+                self._run.log_event(action.elapsed_s, action.text)
+            elif isinstance(action, RecordEvaluation):
+                self._evaluation(action.row)
+            elif isinstance(action, Finish):
+                self._result_due = True
+                self._finish()
+
+    @contextmanager
+    def _telling(self) -> Iterator[None]:
+        """Tell of what cannot be written, and go on without."""
+        try:
+            yield
+        except OSError as error:
+            self._notices.once(f"cannot write to {self._run.path}: {error.strerror or error}; going on without")
 
     def _evaluation(self, row: EvaluationRow) -> None:
         self._run.append_metrics(
@@ -63,6 +84,11 @@ class Recorder:
         if state.elapsed_s < self._metrics_due:
             return
         self._metrics_due = state.elapsed_s + METRICS_EVERY_S
+        with self._telling():
+            self._learners()
+
+    def _learners(self) -> None:
+        state = self._state
         for pid, record in state.records.items():
             total = record.total
             self._run.append_metrics(
@@ -104,9 +130,23 @@ class Recorder:
             }
             export_policy(self._run.path / "policy", state.task, snapshot.q_table, snapshot.weights, about)
         self._run.write_summary(summary(state))
+        self._result_due = False
 
     def close(self) -> None:
-        """Write the counts down once more: learners went on until they heard of the end."""
+        """Write the counts down once more: learners went on until they heard of the end.
+
+        Raises:
+            RunError: if the policy or the summary cannot be written.
+        """
         self._metrics_due = 0.0
         self.metrics()
-        self._run.write_summary(summary(self._state))
+        try:
+            if self._result_due:
+                self._finish()
+            self._run.write_summary(summary(self._state))
+        except OSError as error:
+            path = self._run.path
+            raise RunError(
+                f"cannot write the result of the run to {path}: {error.strerror or error}; make room, then go on from "
+                f"its last checkpoint by --resume {path}"
+            ) from None

@@ -71,7 +71,7 @@ class CoordinatorService:
         resumed = self._go_on() if resume else ""
         write_identity(run.path, Identity(state.settings.run_id, serial=False))
         self._keeper = StateKeeper(state, run.checkpoints, checkpoint_every_s, self._said.put)
-        self._recorder = Recorder(state, run, tensorboard)
+        self._recorder = Recorder(state, run, tensorboard, self._said.put)
         run.write_endpoints(self.control, self.publish)
         self._publish_due = 0.0
         self._interrupt: str | None = None

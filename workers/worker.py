@@ -11,6 +11,7 @@ import socket as hostnames
 import sys
 import time
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -342,5 +343,6 @@ class Worker:
 
 
 def say(text: str) -> None:
-    """One line for the person at the terminal."""
-    print(f"t4nmtd-worker: {text}", file=sys.stderr, flush=True)
+    """One line for the person at the terminal, or in a log; where that is full, nobody hears it."""
+    with suppress(OSError):
+        print(f"t4nmtd-worker: {text}", file=sys.stderr, flush=True)

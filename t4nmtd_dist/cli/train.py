@@ -146,6 +146,10 @@ def _report(directory: Path) -> None:
     )
 
 
+def _say(text: str) -> None:
+    print(f"t4nmtd: {text}", file=sys.stderr, flush=True)
+
+
 def train_serial(options: RunOptions, *, device: Device = "cpu") -> int:
     """Train in one process, in lock-step; the exit code, and what is raised, as of ``train``."""
     os.environ.setdefault("OMP_NUM_THREADS", "1")
@@ -170,7 +174,7 @@ def train_serial(options: RunOptions, *, device: Device = "cpu") -> int:
     if plan.resumes:
         keeper.go_on()
     write_identity(run_dir.path, plan.identity)
-    recorder = Recorder(run.coordinator, run_dir, options.tensorboard)
+    recorder = Recorder(run.coordinator, run_dir, options.tensorboard, _say)
     for notes in run.steps():
         for note in notes:
             recorder.record(note)
@@ -180,6 +184,7 @@ def train_serial(options: RunOptions, *, device: Device = "cpu") -> int:
             run.stop("interrupted")
     for note in run.notes:
         recorder.record(note)
+    recorder.close()
     keeper.finish()
     _report(run_dir.path)
     codes = {"solved": SOLVED, "budget spent": BUDGET_SPENT}

@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import csv
 import fcntl
+import io
 import json
 import os
 import shutil
 import tomllib
 from collections.abc import Mapping
+from contextlib import suppress
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import IO, Any
@@ -47,9 +49,23 @@ def write_atomically(path: Path, text: str) -> None:
     os.replace(fresh, path)
 
 
+def _append(path: Path, text: str) -> None:
+    """Append to a file; if the disk is full, nothing of it."""
+    data = text.encode()
+    with path.open("ab", buffering=0) as file:
+        size = file.tell()
+        try:
+            while data:
+                data = data[file.write(data) :]
+        except OSError:
+            with suppress(OSError):
+                file.truncate(size)
+            raise
+
+
 def _is_of_a_run(name: str) -> bool:
     """Whether a run writes something of this name into its folder, be it for a moment only."""
-    return name in FILES | FOLDERS or (name.startswith(".") and name.endswith(".new"))
+    return name.removesuffix(".new").removeprefix("." if name.endswith(".new") else "") in FILES | FOLDERS
 
 
 def _are_of_a_run(settings: Path) -> bool:
@@ -172,18 +188,16 @@ class RunDirectory:
     def log_event(self, elapsed_s: float, text: str) -> None:
         """Append a line to ``events.jsonl``."""
         line = {"utc": datetime.now(UTC).isoformat(timespec="milliseconds"), "elapsed_s": round(elapsed_s, 3)}
-        with (self.path / EVENTS_FILE).open("a", encoding="utf-8") as file:
-            file.write(json.dumps({**line, "text": text}) + "\n")
+        _append(self.path / EVENTS_FILE, json.dumps({**line, "text": text}) + "\n")
 
     def append_metrics(self, name: str, row: Mapping[str, Any]) -> None:
         """Append a row to ``metrics/<name>.csv``; the first row decides the columns."""
-        path = self.path / "metrics" / f"{name}.csv"
-        fresh = not path.exists()
-        with path.open("a", encoding="utf-8", newline="") as file:
-            writer = csv.DictWriter(file, fieldnames=list(row))
-            if fresh:
-                writer.writeheader()
-            writer.writerow(row)
+        path, text = self.path / "metrics" / f"{name}.csv", io.StringIO(newline="")
+        writer = csv.DictWriter(text, fieldnames=list(row))
+        if not path.exists() or not path.stat().st_size:
+            writer.writeheader()
+        writer.writerow(row)
+        _append(path, text.getvalue())
 
     def write_summary(self, summary: Mapping[str, Any]) -> None:
         """Write ``summary.json``."""

@@ -11,6 +11,7 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from safetensors import SafetensorError
 from safetensors.numpy import save_file
 
 from t4nmtd_dist.compiled import CompiledTask
@@ -37,6 +38,9 @@ def export_policy(
         q_table: known entries of Q(q, T).
         weights: by pid, all parameters; only those of the actors that act are kept.
         about: where it comes from (interactions, versions, seed), for readers.
+
+    Raises:
+        OSError: if it cannot be written.
     """
     fresh = folder.with_name(folder.name + ".new")
     shutil.rmtree(fresh, ignore_errors=True)
@@ -46,7 +50,10 @@ def export_policy(
         for pid, named in weights.items()
         for name, array in acting_parameters(named).items()
     }
-    save_file(actors, fresh / ACTORS_FILE)
+    try:
+        save_file(actors, fresh / ACTORS_FILE)
+    except SafetensorError as error:
+        raise OSError(f"{fresh / ACTORS_FILE}: {error}") from None
     data = {
         "format": POLICY_FORMAT,
         "about": dict(about),
