@@ -56,6 +56,7 @@ class Doors:
         self._notices = Notices(self._noticed.put)
         self._own: KeyPair | None = None
         self._allowed: AllowedFolder | None = None
+        self._acted_upon: Set[str] = frozenset()
         self._authenticator: Authenticator | None = None
         self._monitors: dict[str, HandshakeMonitor] = {}
         with ExitStack() as undo:
@@ -85,6 +86,7 @@ class Doors:
     def _let_in(self, keys: Path) -> Authenticator:
         self._own = load_coordinator(keys)
         self._allowed = AllowedFolder(keys, self._own.public, self._notices.once)
+        self._acted_upon = self._allowed.all()
         return Authenticator(self._context, self._allowed, self._refused)
 
     def _refused(self, refusal: Refusal) -> None:
@@ -117,11 +119,16 @@ class Doors:
 
     def changed_keys(self) -> Set[str] | None:
         """All allowed keys if the list has changed, after ending the connections of those taken off; else None."""
-        if self._allowed is None or not self._allowed.refresh():
+        if self._allowed is None:
             return None
+        self._allowed.refresh()  # which the authenticator's thread does as well: one of the two sees a change first
+        allowed = self._allowed.all()
+        if allowed == self._acted_upon:
+            return None
+        self._acted_upon = allowed
         self._control_gate.expel()
         self._state_gate.expel()
-        return self._allowed.all()
+        return allowed
 
     def notices(self) -> Iterator[str]:
         """Lines about trouble since the last call."""

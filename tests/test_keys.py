@@ -16,7 +16,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from small_tasks import small_learner, small_task
 
-from coordinator.doors import Access
+from coordinator.doors import Access, Doors
 from coordinator.service import CoordinatorService
 from coordinator.state import CoordinatorState, RunSettings
 from t4nmtd_dist.errors import ConfigError, KeyFileError, RunError
@@ -170,6 +170,25 @@ def test_a_running_program_sees_the_list_change(folder: Path, monkeypatch: pytes
     assert allowed.refresh()
     assert "client1.public" in told[0]
     assert allowed.all() == {"always", load_client(folder).own.public}
+
+
+def test_a_revocation_that_another_thread_saw_first_is_acted_upon(
+    folder: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("t4nmtd_dist.wire.allow_list.REREAD_S", 0.0)
+    key = load_client(client_of(folder)).own.public
+    doors = Doors(Access("tcp://127.0.0.1:*", "tcp://127.0.0.1:*", folder))
+    try:
+        assert doors.changed_keys() is None
+        revoke(folder, "client1")
+        assert doors._allowed is not None
+        assert doors._allowed.refresh(), "the authenticator does this at every handshake"
+        changed = doors.changed_keys()
+        assert changed is not None
+        assert key not in changed
+        assert doors.changed_keys() is None
+    finally:
+        doors.close()
 
 
 # Limits
