@@ -189,13 +189,13 @@ class CoordinatorState:
         return self._grant(peer, claim, lease, answers)
 
     def _refuse_live(self, peer: bytes, place: str, lease: Lease | None, answers: int) -> Send:
+        """A learner that wants just this sub-task may give up; a further evaluator stands by."""
         holder = lease.instance if lease else "another worker"
         remaining = lease.expires - self.now if lease else 0.0
-        text = (
-            f"{place} is held by {holder}, whose lease is live for {remaining:.0f} s more; "
-            "stop that worker first, or start this one without --pid to stand by"
-        )
-        return Send(peer, Refused(reason="lease is live", text=text, final=True, pid=place), answers=answers)
+        text = f"{place} is held by {holder}, whose lease is live for {remaining:.0f} s more; "
+        learner = lease is None or self.evaluator_lease.get(place) is not lease
+        text += "stop that worker first, or start this one without --pid to stand by" if learner else "standing by"
+        return Send(peer, Refused(reason="lease is live", text=text, final=learner, pid=place), answers=answers)
 
     def _grant(self, peer: bytes, claim: Claim, lease: Lease, answers: int) -> list[Action]:
         record = self.records.get(lease.place)
@@ -220,7 +220,8 @@ class CoordinatorState:
         return [Send(peer, granted, arrays, answers), told]
 
     def _release(self, peer: bytes, release: Release) -> list[Action]:
-        if not self.leases.release(release.pid, release.epoch, peer):
+        tables = (self.leases, self.evaluator_lease)
+        if not any(table.release(release.pid, release.epoch, peer) for table in tables):
             return []
         return [self._tell(f"{release.pid} given back")]
 

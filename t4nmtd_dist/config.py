@@ -278,6 +278,7 @@ def _check_ranges(task: TaskConfig) -> None:
     _check_hidden(task.learner.hidden)
     _check_replay(task.sac)
     _check_groups(task)
+    _check_names(task)
 
 
 def _check_hidden(hidden: tuple[int, ...]) -> None:
@@ -301,6 +302,15 @@ def _check_groups(task: TaskConfig) -> None:
             raise ConfigError(f"exclusive names {strange[0]!r}; declared propositions: {', '.join(task.propositions)}")
 
 
+def _check_names(task: TaskConfig) -> None:
+    taken = sorted(RESERVED & {name.casefold() for name in task.propositions})
+    if taken:
+        raise ConfigError(
+            f"a proposition is called {taken[0]!r}, as a process or a file of every run is; give it another name"
+        )
+
+
+RESERVED = {"evaluator", "evaluations"}
 ALGORITHM_DEFAULTS: Mapping[str, Mapping[str, Any]] = {
     "sac": {
         "learner": {

@@ -128,6 +128,12 @@ def test_wrong_types_are_refused_with_the_place(flag: str, text: str) -> None:
         load_task("task7", flags=[flag])
 
 
+@pytest.mark.parametrize("name", ["evaluator", "evaluations", "Evaluations"])
+def test_a_proposition_called_like_a_part_of_every_run_is_refused(name: str) -> None:
+    with pytest.raises(ConfigError, match=f"proposition is called '{name.casefold()}'"):
+        load_task("task7", flags=[f'propositions=["p1", "{name}"]', 'formula="F(p1)"', "exclusive=[]"])
+
+
 def test_an_exclusive_group_of_undeclared_names_is_refused() -> None:
     with pytest.raises(ConfigError, match="'q9'"):
         load_task("task7", flags=['exclusive=[["p1", "q9"]]'])

@@ -10,7 +10,15 @@ from coordinator_events import Conversation, of
 
 from coordinator.events import Finish, RecordEvaluation, Send
 from coordinator.snapshot import summary
-from t4nmtd_dist.wire.messages import EvaluationJob, EvaluationPoll, EvaluationReport, LearnerStats, Refused
+from t4nmtd_dist.wire.messages import (
+    Claim,
+    EvaluationJob,
+    EvaluationPoll,
+    EvaluationReport,
+    LearnerStats,
+    Refused,
+    Release,
+)
 
 
 class Evaluated(Conversation):
@@ -157,3 +165,14 @@ def test_an_evaluator_taken_over_is_told_so_and_its_report_ignored() -> None:
     refused = talk.answer("e", EvaluationPoll(epoch=talk.epoch))
     assert isinstance(refused, Refused)
     assert not refused.final
+
+
+def test_a_further_evaluator_stands_by_until_the_first_gives_its_place_back() -> None:
+    talk = Evaluated()
+    refused = talk.answer("e2", Claim(role="evaluator", instance="e2"))
+    assert isinstance(refused, Refused)
+    assert (refused.final, refused.text.endswith("standing by")) == (False, True)
+    talk.send("stranger", Release(pid="evaluator", epoch=talk.epoch))
+    assert isinstance(talk.answer("e2", Claim(role="evaluator", instance="e2")), Refused)
+    talk.send("e", Release(pid="evaluator", epoch=talk.epoch))
+    assert talk.claim_evaluator("e2").epoch == talk.epoch + 1

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 from hypothesis import given
@@ -26,6 +28,14 @@ def test_sub_tasks_are_dealt_evenly_and_each_once(sizes: tuple[int, int]) -> Non
 
 def test_by_default_every_sub_task_has_a_worker() -> None:
     assert dealt(["g", "~p1"], None) == {"g": ["g"], "not-p1": ["~p1"]}
+
+
+@pytest.mark.parametrize("workers", [1, 2])
+def test_the_name_of_a_process_is_one_that_a_file_can_have(workers: int, tmp_path: Path) -> None:
+    hands = dealt([f"proposition_with_a_long_name_{number}" for number in range(16)], workers)
+    assert len(hands) == workers
+    for name in hands:
+        (tmp_path / f"{name}.log").touch()
 
 
 @pytest.mark.parametrize("workers", [-1, 0, 5])

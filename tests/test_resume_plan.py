@@ -104,6 +104,11 @@ def test_a_run_that_is_there_is_refused_with_both_ways_out(tmp_path: Path) -> No
     assert not (run / "config.toml").exists()
 
 
+def test_a_seed_below_0_is_refused_before_anything_is_written(tmp_path: Path) -> None:
+    with pytest.raises(ConfigError, match="--seed -1: expected 0 or more"):
+        plan_run(RunOptions(task="task7", seed=-1, run_dir=tmp_path / "run"))
+
+
 @pytest.mark.parametrize("theirs", ["thesis.tex", ".git", "data"])
 def test_a_restart_deletes_nothing_that_no_run_has_written(theirs: str, tmp_path: Path) -> None:
     run = stopped_run(tmp_path)

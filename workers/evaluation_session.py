@@ -24,7 +24,7 @@ class EvaluationSession:
     """
 
     def __init__(self, granted: Granted) -> None:
-        self.epoch = granted.epoch
+        self.place, self.epoch = granted.pid, granted.epoch
         self._task = compiled_from(granted)
         self._seed = granted.seed
         self._evaluator: Evaluator | None = None

@@ -332,6 +332,9 @@ class Worker:
         for pid, epoch in epochs.items():
             self._send(Release(pid=pid, epoch=epoch))
             self._end(pid)
+        if self._evaluation is not None:
+            self._send(Release(pid=self._evaluation.place, epoch=self._evaluation.epoch))
+            self._evaluation = None
 
     def _close(self) -> None:
         self._give_back()

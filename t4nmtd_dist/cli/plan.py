@@ -66,6 +66,8 @@ def plan_run(options: RunOptions, *, serial: bool = False) -> RunPlan:
         raise ConfigError("expected --task NAME for a new run, or --resume RUN to go on with one")
     config = load_task(options.task, configs=options.config, flags=_flags(options))
     seed = options.seed or 0
+    if seed < 0:
+        raise ConfigError(f"--seed {seed}: expected 0 or more")
     directory = options.run_dir or default_run_directory(config.name, seed)
     return RunPlan(config, seed, directory, new_identity(serial=serial))
 

@@ -18,6 +18,7 @@ START_DEADLINE_S = 60.0
 END_DEADLINE_S = 20.0  # time in which workers write their last checkpoints; most need a second
 RESTART_PAUSE_S = 0.5
 MOST_RESTARTS = 20
+LONGEST_NAME = 100
 
 
 def dealt(pids: Sequence[str], workers: int | None) -> dict[str, list[str]]:
@@ -34,7 +35,14 @@ def dealt(pids: Sequence[str], workers: int | None) -> dict[str, list[str]]:
     if not 1 <= count <= len(pids):
         raise ConfigError(f"--workers {count}: expected 1 to {len(pids)}, the number of this task's sub-tasks")
     hands = [list(pids[first::count]) for first in range(count)]
-    return {"+".join(pid.replace("~", "not-") for pid in hand): hand for hand in hands}
+    return {_name_of(hand): hand for hand in hands}
+
+
+def _name_of(hand: Sequence[str]) -> str:
+    """The sub-tasks' names, which differ from those of any other hand, as far as a file may be called so."""
+    names = [pid.replace("~", "not-") for pid in hand]
+    joined = "+".join(names)
+    return joined if len(joined) <= LONGEST_NAME else f"{names[0][:LONGEST_NAME]}+{len(names) - 1}-more"
 
 
 @dataclass
