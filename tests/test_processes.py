@@ -368,6 +368,15 @@ def test_a_worker_that_slept_through_its_lease_goes_on_or_gives_way(processes: P
     assert [coordinator.wait(END_S), heir.wait(END_S)] == [130, 0]
 
 
+def test_a_roll_out_longer_than_the_lease_loses_nothing(processes: Processes) -> None:
+    run = processes.folder / "run"
+    processes.coordinator(run, "--lease", "2", "--set", "ppo.rollout=15000", "--set", "ppo.epochs=1")
+    processes.worker(run, "--pid", "p1")
+    told = processes.until_state(run, lambda state: state.interactions > 0, "the first roll-out is told of")
+    assert told.interactions == 16 * 15000
+    assert not [text for text in events(run) if text.startswith("p1 lost")]
+
+
 def test_workers_go_on_with_a_coordinator_started_again_on_the_same_ports(processes: Processes) -> None:
     first, second = processes.folder / "first", processes.folder / "second"
     killed = processes.coordinator(first)

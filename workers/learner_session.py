@@ -53,7 +53,7 @@ class LearnerSession:
 
     def __init__(self, granted: Granted, arrays: Mapping[str, NDArray[Any]], *, device: Device = "cpu") -> None:
         task = compiled_from(granted)
-        self.pid, self.epoch = granted.pid, granted.epoch
+        self.pid, self.epoch, self.lease_s = granted.pid, granted.epoch, granted.lease_s
         self.buffer = InitialStateBuffer(task.config.learner.start_capacity)
         self.high_level = task.q_table()
         seed = subtask_seed(granted.seed, granted.pid, granted.epoch)
@@ -94,7 +94,7 @@ class LearnerSession:
             self.run_id, self._told_before = granted.run_id, LearnerStats()
         elif self._told is not None:
             self._told_before = self._told
-        self.epoch = granted.epoch
+        self.epoch, self.lease_s = granted.epoch, granted.lease_s
         self._begin_lease(sent_version=0)
 
     def go_on_from(self, state: State, granted: Granted, arrays: Mapping[str, NDArray[Any]]) -> None:
@@ -164,6 +164,17 @@ class LearnerSession:
         self._outstanding = self._sync()
         self._sent_at = now
         return self._outstanding
+
+    def heartbeat(self) -> Sync:
+        """Keeps the lease alive in the midst of a long roll-out; sequence 0 carries no progress."""
+        return Sync(
+            pid=self.pid,
+            epoch=self.epoch,
+            sequence=0,
+            version=self.learner.version,
+            start_cursor=self._start_cursor,
+            stats=LearnerStats(),
+        )
 
     def last_sync(self) -> Envelope:
         """What the coordinator has not been told yet, at the end of the work; answered like any other."""

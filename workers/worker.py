@@ -118,7 +118,7 @@ class Worker:
         self._solved = False
         self._heartbeat_due = 0.0
         self._poll_due = 0.0
-        self._turn_began = time.monotonic()
+        self._turn_began = self._last_syncs = time.monotonic()
         self._exit: Exit | None = None
         self._told: set[str] = set()
         self._interrupted = False
@@ -196,6 +196,16 @@ class Worker:
             if sync is not None:
                 self._send(sync.message, sync.arrays)
         self._poll_evaluation(now)
+        self._last_syncs = now
+
+    def _keep_leases(self) -> None:
+        """Within a turn: a sign of life for every lease that would run out if this turn took much longer."""
+        now = time.monotonic()
+        if all(now < self._last_syncs + session.lease_s / 4 for session in self._sessions.values()):
+            return
+        self._last_syncs = now
+        for session in self._sessions.values():
+            self._send(session.heartbeat())
 
     def _watch_connection(self) -> None:
         """Give up when the coordinator will not talk to this worker; tell what else keeps a connection away, once."""
@@ -307,6 +317,7 @@ class Worker:
             session = lease.learn(self._options.device)
             if self._keeper is not None:
                 self._keeper.go_on(session, lease.granted, lease.arrays)
+            session.learner.attempts.pulse = self._keep_leases
             self._sessions[pid] = session
             self._neighbours.join(session)
             self._critics.serve(pid, session.learner.published, session.learner.experience)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections import deque
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -74,6 +75,9 @@ class Attempts:
         attempt_steps: steps after which an attempt is cut.
         hand_over_all: hand states over after every change of the DFA state, not only after targets.
         rng: source of randomness.
+
+    Attributes:
+        pulse: called before every step, and by learners between the parts of a long update: a sign of life.
     """
 
     def __init__(
@@ -99,6 +103,7 @@ class Attempts:
         self._seeds = rng.spawn(1)[0]
         self._seeded = np.zeros(world.count, dtype=np.bool_)
         self._begun = False
+        self.pulse: Callable[[], None] = lambda: None
         self.progress = Progress()
         self.interactions = 0
         self.attempts = 0
@@ -193,6 +198,7 @@ class Attempts:
 
     def step(self, actions: NDArray[Any]) -> AttemptStep:
         """Act in every copy, move the DFA, and begin again where an attempt is over."""
+        self.pulse()
         tables, q = self._tables, self.q
         world_step = self._world.step(actions)
         self.interactions += self._world.count

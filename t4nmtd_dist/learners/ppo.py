@@ -344,6 +344,7 @@ class PPOLearner:
         for _ in range(ppo.epochs):
             order = torch.from_numpy(self._rng.permutation(len(advantages))).to(self._device)
             for rows in torch.split(order, ppo.minibatch):
+                self.attempts.pulse()
                 self._gradient_step(*(column[rows] for column in columns))
 
     def _gradient_step(
