@@ -66,6 +66,7 @@ def _serve(command: CoordinatorCommand) -> int:
     from t4nmtd_dist.compiled import compile_task
     from t4nmtd_dist.environments.preparation import prepared, slowness
     from t4nmtd_dist.errors import ConfigError
+    from t4nmtd_dist.launch.ends import hear_ends
     from t4nmtd_dist.wire.addresses import here
     from t4nmtd_dist.wire.sockets import new_context
 
@@ -96,8 +97,7 @@ def _serve(command: CoordinatorCommand) -> int:
     def stop(number: int, _: FrameType | None) -> None:
         service.interrupt(signal.Signals(number).name)
 
-    for number in (signal.SIGINT, signal.SIGTERM):
-        signal.signal(number, stop)
+    hear_ends(stop)
     viewer = None if command.no_dashboard else BackgroundViewer(new_context(), here(service.publish), service.own_keys)
     try:
         service.serve()

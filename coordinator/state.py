@@ -30,7 +30,9 @@ from coordinator.records import LearnerRecord
 from t4nmtd_dist.compiled import CompiledTask
 from t4nmtd_dist.errors import ProtocolError
 from t4nmtd_dist.initial_state_buffer import InitialStateBuffer
+from t4nmtd_dist.learners.actors import acting_parameters
 from t4nmtd_dist.wire.codec import with_prefix, without_prefix
+from t4nmtd_dist.wire.limits import most_starts
 from t4nmtd_dist.wire.messages import (
     Claim,
     EvaluationJob,
@@ -296,7 +298,8 @@ class CoordinatorState:
                 self.records[chosen].buffer.add(q, state)
 
     def _reply(self, peer: bytes, sync: Sync, record: LearnerRecord, answers: int) -> Send:
-        fresh = record.buffer.since(sync.start_cursor, STARTS_PER_REPLY)
+        size = 1 if self.snapshot is None else self.snapshot.nbytes
+        fresh = record.buffer.since(sync.start_cursor, most_starts(STARTS_PER_REPLY, size))
         reply = SyncReply(
             pid=sync.pid,
             epoch=sync.epoch,
@@ -328,7 +331,7 @@ class CoordinatorState:
         versions = {pid: record.version for pid, record in self.records.items() if record.version}
         if not self.evaluations.due(self.interactions, versions, self._training(), self.learners_s):
             return [Send(peer, EvaluationJob(job=0), answers=answers)]
-        weights = {pid: self.records[pid].weights for pid in versions}
+        weights = {pid: acting_parameters(self.records[pid].weights) for pid in versions}
         snapshot = self.evaluations.hand_out(self.interactions, self.high_level.entries(), versions, weights)
         job = EvaluationJob(
             job=snapshot.job,

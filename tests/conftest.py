@@ -12,9 +12,10 @@ from workers.critic_service import CriticService
 
 
 def pytest_configure() -> None:
-    """Let what the tests start hear Ctrl-C: a shell's background jobs ignore it, and so would all their children."""
-    if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
-        signal.signal(signal.SIGINT, signal.default_int_handler)
+    """Let what the tests start hear Ctrl-C and hang-ups, which children of background jobs and of nohup ignore."""
+    for number, default in ((signal.SIGINT, signal.default_int_handler), (signal.SIGHUP, signal.SIG_DFL)):
+        if signal.getsignal(number) is signal.SIG_IGN:
+            signal.signal(number, default)
 
 
 @pytest.fixture

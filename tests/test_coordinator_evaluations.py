@@ -176,3 +176,13 @@ def test_a_further_evaluator_stands_by_until_the_first_gives_its_place_back() ->
     assert isinstance(talk.answer("e2", Claim(role="evaluator", instance="e2")), Refused)
     talk.send("e", Release(pid="evaluator", epoch=talk.epoch))
     assert talk.claim_evaluator("e2").epoch == talk.epoch + 1
+
+
+def test_of_learners_weights_an_evaluation_gets_those_of_the_actor_that_acts() -> None:
+    talk = Evaluated()
+    parts = ("actor", "average", "critics", "targets")
+    many = {f"weights.{part}.{layer}.weight": np.ones((2, 2), np.float32) for part in parts for layer in range(3)}
+    stats = LearnerStats(phase="training", interactions=1000)
+    talk.sync("p1", "w", sequence=1, version=1, stats=stats, arrays=many)
+    (sent,) = of(Send, talk.send("e", EvaluationPoll(epoch=talk.epoch)))
+    assert set(sent.arrays) == {f"p1/weights.actor.{layer}.weight" for layer in range(3)}

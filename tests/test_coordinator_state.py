@@ -11,6 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from coordinator.events import Finish, Interrupted, Send, Tell
+from t4nmtd_dist.wire.codec import Envelope, decode, encode
 from t4nmtd_dist.wire.messages import (
     Failure,
     Goodbye,
@@ -221,6 +222,21 @@ def test_a_learner_behind_is_served_in_bounded_portions() -> None:
         cursor, total, portions = reply.start_cursor, total + len(arrays["starts.q"]), portions + 1
     assert total == len(talk.state.records["g"].buffer)
     assert portions > 1
+
+
+def test_great_start_states_are_served_in_portions_that_a_message_can_hold() -> None:
+    talk = Conversation()
+    talk.claim("p1", "w")
+    talk.claim("g", "v")
+    great = np.zeros(1_000_000)
+    talk.sync("p1", "w", arrays={"starts.q": np.zeros(1, np.int32), "starts.state": great[None]})
+    for n in range(40):
+        talk.state.records["g"].buffer.add(n % 3, np.full_like(great, n))
+    cursor, seen = 0, 0
+    while seen < len(talk.state.records["g"].buffer):
+        reply, arrays = talk.sync_with_arrays("g", "v", sequence=seen + 1, cursor=cursor)
+        assert len(decode(encode(Envelope(reply, arrays))).arrays["starts.q"]) > 0
+        cursor, seen = reply.start_cursor, seen + len(arrays["starts.q"])
 
 
 @pytest.mark.parametrize("q", [ACCEPTING, ERROR])

@@ -368,6 +368,18 @@ def test_a_worker_that_slept_through_its_lease_goes_on_or_gives_way(processes: P
     assert [coordinator.wait(END_S), heir.wait(END_S)] == [130, 0]
 
 
+def test_a_closed_terminal_ends_worker_and_coordinator_in_good_order(processes: Processes) -> None:
+    run = processes.folder / "run"
+    coordinator, worker = processes.coordinator(run), processes.worker(run, "--pid", "p1")
+    training(processes, run)
+    worker.send(signal.SIGHUP)
+    assert worker.wait(END_S) == 130
+    processes.until(lambda: "p1 given back" in events(run), "the sub-task is free again")
+    coordinator.send(signal.SIGHUP)
+    assert coordinator.wait(END_S) == 130
+    assert "stopped: SIGHUP" in events(run)
+
+
 def test_a_roll_out_longer_than_the_lease_loses_nothing(processes: Processes) -> None:
     run = processes.folder / "run"
     processes.coordinator(run, "--lease", "2", "--set", "ppo.rollout=15000", "--set", "ppo.epochs=1")

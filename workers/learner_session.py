@@ -24,6 +24,7 @@ from t4nmtd_dist.learners.build import build_learner, subtask_seed
 from t4nmtd_dist.learners.peers import InterventionCounts, PeerCritics
 from t4nmtd_dist.runs.state_tree import State
 from t4nmtd_dist.wire.codec import Envelope, without_prefix
+from t4nmtd_dist.wire.limits import most_starts
 from t4nmtd_dist.wire.messages import Granted, Intervention, LearnerStats, Peer, Sync, SyncReply
 
 RESEND_S = 2.0
@@ -268,8 +269,9 @@ def _pack(progress: Progress) -> dict[str, NDArray[Any]]:
         arrays["progress.q"] = np.array([(q, to, steps) for q, to, steps, _ in progress.changes], np.int32)
         arrays["progress.reward"] = np.array([reward for *_, reward in progress.changes], np.float64)
     newest = {(q, state.tobytes()): (q, state) for q, state in progress.starts}
-    kept = list(newest.values())[-STARTS_PER_SYNC:]
+    kept = list(newest.values())
     if kept:
+        kept = kept[-most_starts(STARTS_PER_SYNC, kept[-1][1].nbytes) :]
         arrays["starts.q"] = np.array([q for q, _ in kept], np.int32)
         arrays["starts.state"] = np.stack([state for _, state in kept])
     return arrays

@@ -6,7 +6,6 @@ A place is claimed before torch and the worlds are imported, which takes seconds
 from __future__ import annotations
 
 import os
-import signal
 import socket as hostnames
 import sys
 import time
@@ -21,6 +20,7 @@ from numpy.typing import NDArray
 
 from t4nmtd_dist.devices import Device
 from t4nmtd_dist.errors import ProtocolError
+from t4nmtd_dist.launch.ends import hear_ends
 from t4nmtd_dist.wire.addresses import critic_endpoints
 from t4nmtd_dist.wire.codec import Envelope
 from t4nmtd_dist.wire.handshake import HandshakeMonitor, trouble
@@ -138,8 +138,7 @@ class Worker:
 
     def run(self) -> int:
         """Work until the run is over (exit code 0), nothing can be done (2), or a signal says stop (130)."""
-        for number in (signal.SIGINT, signal.SIGTERM):
-            signal.signal(number, self._interrupt)
+        hear_ends(self._interrupt)
         try:
             while self._exit is None and not self._interrupted:
                 self._turn()

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-import signal
 import sys
 import time
 from pathlib import Path
@@ -14,6 +13,7 @@ from t4nmtd_dist.compiled import CompiledTask, compile_task
 from t4nmtd_dist.devices import Device, check_device
 from t4nmtd_dist.environments.preparation import prepared, slowness
 from t4nmtd_dist.errors import RunError
+from t4nmtd_dist.launch.ends import hear_ends
 from t4nmtd_dist.launch.local import LocalProcesses, dealt
 from t4nmtd_dist.runs.directory import RunDirectory, read_summary
 from t4nmtd_dist.runs.resuming import write_identity
@@ -24,13 +24,11 @@ LAST_STATE_S = 15.0
 
 
 class _Interrupted:
-    """Remembers that Ctrl-C or SIGTERM came."""
+    """Remembers that this process is to end."""
 
     def __init__(self) -> None:
         self.seen = False
-        for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
-            if signal.getsignal(number) is not signal.SIG_IGN:  # nohup ignores SIGHUP, and so it stays
-                signal.signal(number, self._see)
+        hear_ends(self._see)
 
     def _see(self, *_: object) -> None:
         self.seen = True

@@ -27,6 +27,14 @@ class Limits:
     bytes_per_s: float
 
 
+STARTS_BYTES = MAX_ARRAY_BYTES // 4  # of the start states in one message
+
+
+def most_starts(count: int, size: int) -> int:
+    """How many start states of ``size`` bytes, up to ``count`` and one at least, go into a message."""
+    return min(count, max(1, STARTS_BYTES // max(1, size)))
+
+
 CONTROL_LIMITS = Limits(MAX_ARRAY_BYTES, 500, 128 << 20)
 CRITIC_LIMITS = Limits(8 << 20, 2000, 64 << 20)
 STATE_LIMITS = Limits(4096, 10, 4096)
