@@ -143,7 +143,7 @@ class EvaluationPoll(Message, frozen=True, tag="evaluation_poll"):
 
 
 class EvaluationJob(Message, frozen=True, tag="evaluation_job"):
-    """Coordinator -> evaluator. ``job`` 0: nothing to do yet. arrays: ``<pid>/weights.*`` of every sub-task."""
+    """Coordinator -> evaluator. ``job`` 0: nothing to do yet. arrays: ``<pid>/weights.actor.*`` of every sub-task."""
 
     job: int
     interactions: int = 0
