@@ -5,17 +5,17 @@
 # Usage: deploy/test-compose.sh          (as root, or as somebody who may use docker and sudo without a password)
 #   COMPOSE=...   the command; by default `docker compose`, or docker-compose where that is what there is
 #   T4NMTD=...    the command t4nmtd outside the containers; by default that of .venv, made if need be
-#   TASK=...      what to train; default task7
-#   WORKERS=...   how many there are; default 4
-#   PID=...       the sub-task whose worker is killed; default g
+#   TASK=...      what to train; default task8: others may be solved before the killed worker is missed
+#   WORKERS=...   how many there are; default 5
+#   PID=...       the sub-task whose worker is killed; default g1
 #   SEED=...      of the training; default 1
 #   MAX_INTERACTIONS=...   of the training. A small one ends it unsolved, and this script with 3, if there was time to kill
-#                 on the way: TASK=task8 WORKERS=5 PID=g1 MAX_INTERACTIONS=300000
+#                 on the way: MAX_INTERACTIONS=300000
 set -euo pipefail
 cd "$(dirname "${BASH_SOURCE[0]}")/.."
 
-export COMPOSE_PROJECT_NAME=t4nmtd-test-$$ TASK=${TASK:-task7} SEED=${SEED:-1} MAX_INTERACTIONS=${MAX_INTERACTIONS:-3000000}
-deadline=${DEADLINE_S:-900} workers=${WORKERS:-4} pid=${PID:-g}
+export COMPOSE_PROJECT_NAME=t4nmtd-test-$$ TASK=${TASK:-task8} SEED=${SEED:-1} MAX_INTERACTIONS=${MAX_INTERACTIONS:-3000000}
+deadline=${DEADLINE_S:-900} workers=${WORKERS:-5} pid=${PID:-g1}
 folder=$(mktemp -d)
 if [ -z "${COMPOSE:-}" ]; then
   COMPOSE="docker compose"
