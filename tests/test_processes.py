@@ -411,12 +411,15 @@ def test_workers_go_on_with_a_coordinator_started_again_on_the_same_ports(proces
 
 def test_a_worker_that_outlives_its_coordinator_begins_anew_for_another_seed(processes: Processes) -> None:
     first, second = processes.folder / "first", processes.folder / "second"
-    killed, worker = processes.coordinator(first), processes.worker(first, "--pid", "p1")
+    killed, worker = processes.coordinator(first), processes.worker(first, "--pid", "p1", "--pid", "p2")
     processes.until_state(first, lambda state: rows(state)["p1"].version > 3, "p1 learns")
     killed.send(signal.SIGKILL)
     control, publish = endpoints(first)
     again = processes.coordinator(second, "--seed", "1", bind=control, publish=publish)
-    processes.until_state(second, lambda state: rows(state)["p1"].version > 0, "p1 learns from the beginning")
+    for pid in ("p1", "p2"):
+        processes.until_state(
+            second, lambda state, p=pid: rows(state)[p].version > 0, f"{pid} learns from the beginning"
+        )
     again.send(signal.SIGTERM)
     assert [again.wait(END_S), worker.wait(END_S)] == [130, 0]
     assert "p1 is over here: the coordinator trains another task now, or with another seed" in worker.err

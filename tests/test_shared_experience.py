@@ -21,7 +21,13 @@ from t4nmtd_dist.learners.peers import NoPeers
 from t4nmtd_dist.learners.sac import SACLearner
 from t4nmtd_dist.product import subtask_tables
 from t4nmtd_dist.wire.codec import Envelope
-from t4nmtd_dist.wire.experience_client import ANSWER_WITHIN_S, ASK_EVERY_S, PeerExperience, checked_columns
+from t4nmtd_dist.wire.experience_client import (
+    AFTER_MISFIT_S,
+    ANSWER_WITHIN_S,
+    ASK_EVERY_S,
+    PeerExperience,
+    checked_columns,
+)
 from t4nmtd_dist.wire.messages import ExperienceReply, ExperienceRequest, Failure, Peer
 from t4nmtd_dist.wire.sockets import Context, Socket, bind, bound_endpoint, receive_from, send
 from workers.critic_service import EXPERIENCE_BYTES, CriticService
@@ -336,8 +342,12 @@ def test_bad_columns_leave_what_is_there_and_are_told_of_once(context: Context) 
         assert received is not None
         assert isinstance(received[1], Envelope)
         send(router, Envelope(message, arrays, id=received[1].id), peer=received[0])
-        assert copies._connections.lines["g1"].socket.poll(int(WAIT_S * 1000))
+        line = copies._connections.lines["g1"]
+        assert line.socket.poll(int(WAIT_S * 1000))
         copies.pull()
+        assert (line.ask_at - clock.now > AFTER_MISFIT_S / 2) == any(arrays is each for each in (bad, worse)), (
+            "asked again after a minute"
+        )
     assert copies.copies["g1"].written == 6, "the first and the last"
     assert [line.partition(": ")[0] for line in told] == [f"dropping what g1 at {endpoint} tells of its experience"]
     assert "observations is float32 (3, 2, 3), expected float32 (2, 2, 3)" in told[0]

@@ -253,6 +253,17 @@ def test_after_a_restart_everybody_goes_on_with_what_is_held_or_ends_it(order: l
     assert len(held) == len(set(held)) == 4 - faster
 
 
+def test_what_was_ended_here_is_claimed_anew() -> None:
+    """Nobody refuses a learner that says nothing any more: without a claim its sub-task would be held for ever."""
+    state = worker("p1", "g")
+    for pid in ("p1", "g"):
+        state.hear(0.1, granted(pid))
+    assert of(Ask, state.tick(1.0)) == []
+    state.forget("g", 1.0)
+    assert [ask.claim.pid for ask in of(Ask, state.tick(1.1))] == ["g"]
+    assert state.held == ["p1"]
+
+
 def test_an_evaluator_that_lost_its_place_claims_it_again() -> None:
     state = worker(role="evaluator")
     state.hear(0.1, granted("evaluator", role="evaluator"))

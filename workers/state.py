@@ -144,6 +144,12 @@ class WorkerState:
         pid = None if self.role == "evaluator" else place.wanted or place.kept
         return Ask(Claim(role=self.role, instance=self.instance, pid=pid, critic_endpoint=self.critic_endpoint))
 
+    def forget(self, pid: str, now: float) -> None:
+        """The work on a sub-task was ended here: what is held or kept of it is claimed anew."""
+        for place in self._places:
+            if pid in (place.held, place.kept):
+                place.held, place.kept, place.next_try = None, None, now
+
     def was_deaf(self, since: float, now: float) -> None:
         """This process itself was busy or stopped in between: that was no silence of the coordinator."""
         self._heard = min(now, self._heard + now - since)

@@ -304,6 +304,8 @@ class Worker:
             if not session.goes_on_in(granted):
                 say(f"{pid} is over here: the coordinator trains another task now, or with another seed or settings")
                 self._end(pid)
+                if pid != granted.pid:
+                    self._state.forget(pid, time.monotonic())
 
     def _open_sessions(self) -> None:
         """Start work under the leases that wait for it, as soon as everything is loaded."""
