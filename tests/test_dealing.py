@@ -30,10 +30,10 @@ def test_by_default_every_sub_task_has_a_worker() -> None:
     assert dealt(["g", "~p1"], None) == {"g": ["g"], "not-p1": ["~p1"]}
 
 
-@pytest.mark.parametrize("workers", [1, 2])
-def test_the_name_of_a_process_is_one_that_a_file_can_have(workers: int, tmp_path: Path) -> None:
-    hands = dealt([f"proposition_with_a_long_name_{number}" for number in range(16)], workers)
-    assert len(hands) == workers
+@pytest.mark.parametrize("workers", [1, 2, None])
+def test_the_name_of_a_process_is_one_that_a_file_can_have(workers: int | None, tmp_path: Path) -> None:
+    hands = dealt([f"{'proposition' * 20}{number}" for number in range(16)], workers)
+    assert len(hands) == (workers or 16)
     for name in hands:
         (tmp_path / f"{name}.log").touch()
 

@@ -35,14 +35,13 @@ def dealt(pids: Sequence[str], workers: int | None) -> dict[str, list[str]]:
     if not 1 <= count <= len(pids):
         raise ConfigError(f"--workers {count}: expected 1 to {len(pids)}, the number of this task's sub-tasks")
     hands = [list(pids[first::count]) for first in range(count)]
-    return {_name_of(hand): hand for hand in hands}
+    return {_name_of(hand, number): hand for number, hand in enumerate(hands, 1)}
 
 
-def _name_of(hand: Sequence[str]) -> str:
-    """The sub-tasks' names, which differ from those of any other hand, as far as a file may be called so."""
-    names = [pid.replace("~", "not-") for pid in hand]
-    joined = "+".join(names)
-    return joined if len(joined) <= LONGEST_NAME else f"{names[0][:LONGEST_NAME]}+{len(names) - 1}-more"
+def _name_of(hand: Sequence[str], number: int) -> str:
+    """The sub-tasks' names; a number where these are too long for the name of a log."""
+    joined = "+".join(pid.replace("~", "not-") for pid in hand)
+    return joined if len(joined) <= LONGEST_NAME else f"worker-{number}"
 
 
 @dataclass
