@@ -45,7 +45,8 @@ def header(state: DashboardState, width: int, with_formula: bool) -> RenderableT
     """Phase, time, budget and the way to five full evaluations: three lines, a fourth with the formula."""
     lines: list[RenderableType] = [_status_line(state), _budget_line(state, width), _solved_line(state)]
     if with_formula:
-        lines.append(line(f"formula {state.formula}", "dim"))
+        until = " (until the end of the episode)" if state.acceptance == "end" else ""
+        lines.append(line(f"formula{until} {state.formula}", "dim"))
     return Group(*lines)
 
 

@@ -44,6 +44,7 @@ def dashboard_state(state: CoordinatorState) -> DashboardState:
         q_table=_q_cells(state),
         evaluations=thinned(state.evaluations.history, EVALUATIONS_SHOWN),
         events=list(state.events),
+        acceptance="end" if task.config.acceptance == "end" else "first",
     )
 
 

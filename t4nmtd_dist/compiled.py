@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import dataclasses
 from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
+from t4nmtd_dist.automata.acceptance import task_automaton
 from t4nmtd_dist.automata.dfa import DFA
 from t4nmtd_dist.automata.translate import translate
 from t4nmtd_dist.config import TaskConfig
@@ -53,13 +55,15 @@ class CompiledTask:
 
 
 def compile_task(config: TaskConfig, *, translator: Translator = "auto", seed: int = 0) -> CompiledTask:
-    """Translate the formula and decompose its automaton.
+    """Translate the formula, decide how it accepts, and decompose its automaton.
 
     Raises:
         FormulaError, TranslationError: if the formula or the translator fails.
         ConfigError: if nothing is left to learn.
     """
-    dfa = translate(config.formula, propositions=config.propositions, translator=translator)
+    formula = translate(config.formula, propositions=config.propositions, translator=translator)
+    dfa, acceptance = task_automaton(formula, config.acceptance, config.exclusive)
+    config = dataclasses.replace(config, acceptance=acceptance)
     settings = config.decomposition
     decomposition = decompose(dfa, exclusive=config.exclusive, mode=settings.mode, prune=settings.prune, seed=seed)
     if not decomposition.available(dfa.initial):

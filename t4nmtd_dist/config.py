@@ -20,6 +20,7 @@ import msgspec
 from t4nmtd_dist.errors import ConfigError
 
 Shaping = Literal["paper", "potential", "subtask"]
+AcceptanceSetting = Literal["auto", "first", "end"]
 InterventionMode = Literal["query", "replica", "local", "off"]
 
 
@@ -191,7 +192,12 @@ class EvaluationConfig:
 
 @dataclass(frozen=True)
 class TaskConfig:
-    """Everything that defines a training: the task file with all defaults filled in."""
+    """Everything that defines a training: the task file with all defaults filled in.
+
+    Attributes:
+        acceptance: ``first`` ends an episode at the first accepting state, ``end`` asks what the whole episode
+            satisfies (docs/acceptance.md); ``auto`` decides by the automaton, and a compiled task has one of the two.
+    """
 
     name: str
     formula: str
@@ -199,6 +205,7 @@ class TaskConfig:
     environment: EnvironmentConfig
     title: str = ""
     exclusive: tuple[tuple[str, ...], ...] = ()
+    acceptance: AcceptanceSetting = "auto"
     max_interactions: int = 5_000_000
     decomposition: DecompositionConfig = DecompositionConfig()
     high_level: HighLevelConfig = HighLevelConfig()

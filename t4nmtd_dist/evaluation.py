@@ -12,7 +12,8 @@ from t4nmtd_dist.errors import WorldError
 from t4nmtd_dist.policy import GlobalPolicy
 from t4nmtd_dist.product import LetterReader
 from t4nmtd_dist.runs.state_tree import State
-from t4nmtd_dist.worlds import BatchedWorld, Observations, make_world
+from t4nmtd_dist.timed_world import make_task_world
+from t4nmtd_dist.worlds import BatchedWorld, Observations
 
 PERTURBATION_ROUNDS = 100
 
@@ -53,7 +54,7 @@ class Evaluator:
     """
 
     def __init__(self, policy: GlobalPolicy, episodes: int, *, seed: int) -> None:
-        self._world: BatchedWorld = make_world(policy.config.environment, episodes, policy.config.propositions)
+        self._world: BatchedWorld = make_task_world(policy.config, episodes)
         self._reader = LetterReader(policy.dfa, self._world.propositions)
         self._horizon = policy.config.environment.horizon
         self._rng = np.random.default_rng([seed, 3])

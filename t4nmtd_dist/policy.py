@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from safetensors import SafetensorError
 from safetensors.numpy import load_file
 
+from t4nmtd_dist.automata.acceptance import LAST
 from t4nmtd_dist.automata.dfa import DFA
 from t4nmtd_dist.config import TaskConfig, task_config
 from t4nmtd_dist.decomposition import Decomposition
@@ -23,6 +24,7 @@ from t4nmtd_dist.high_level import QEntries
 from t4nmtd_dist.learners.actors import Actions, make_actor
 from t4nmtd_dist.learners.networks import product_state
 from t4nmtd_dist.runs.exported import ACTORS_FILE, POLICY_FILE, POLICY_FORMAT
+from t4nmtd_dist.timed_world import remaining_share
 from t4nmtd_dist.worlds import Observations
 
 ActorWeights = Mapping[str, Mapping[str, NDArray[Any]]]
@@ -60,6 +62,12 @@ class GlobalPolicy:
         self.subtask_of = self._choices()
         self._q = dfa.initial
         self._first = True
+        self._steps = 0
+
+    @property
+    def _timed(self) -> bool:
+        """Whether the trace ends with the episode, so that actors see the remaining time (docs/acceptance.md)."""
+        return LAST in self.dfa.propositions
 
     def _choices(self) -> dict[int, str]:
         """The greedy sub-task of every DFA state, among those that have an actor; ties by name."""
@@ -92,7 +100,7 @@ class GlobalPolicy:
 
     def reset(self) -> None:
         """Begin an episode: the DFA is in its initial state."""
-        self._q, self._first = self.dfa.initial, True
+        self._q, self._first, self._steps = self.dfa.initial, True, 0
 
     @property
     def state(self) -> int:
@@ -114,7 +122,8 @@ class GlobalPolicy:
                 too short.
         """
         if not self._first:
-            self._q = self.dfa.step(self._q, labels)
+            self._q = self._after(labels)
+            self._steps += 1
         self._first = False
         row = self._row(observation)
         actions, known = self.actions(row, np.array([self._q], np.int32))
@@ -123,8 +132,25 @@ class GlobalPolicy:
             raise PolicyError(f"no action at DFA state {self._q}: it is {kind}; call reset() to begin an episode")
         return actions[0]
 
+    def accepts(self, labels: Iterable[str], *, ended: bool = False) -> bool:
+        """Whether the task is solved after the step that followed the last action.
+
+        Args:
+            labels: names of the propositions that are true after that step.
+            ended: whether the environment ended the episode on it; the horizon of the task counts by itself.
+        """
+        return self._after(labels, ended=ended) in self.dfa.accepting
+
+    def _after(self, labels: Iterable[str], *, ended: bool = False) -> int:
+        """The DFA state after the step that followed the last action."""
+        ended = ended or self._steps + 1 >= self.config.environment.horizon
+        return self.dfa.step(self._q, [*labels, LAST] if ended else labels)
+
     def _row(self, observation: NDArray[Any]) -> Observations:
         row = np.asarray(observation, np.float32).reshape(1, -1)
+        if self._timed:
+            share = remaining_share(self._steps, self.config.environment.horizon)
+            row = np.concatenate([row, share.reshape(1, 1)], axis=1)
         learned_from = self._observation_size()
         if learned_from not in (None, row.shape[1]):
             raise PolicyError(

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
 from itertools import islice
 from typing import Literal, get_args
 
 import numpy as np
 from numpy.typing import NDArray
 
+from t4nmtd_dist.automata.acceptance import LAST, accepts_while_waiting
 from t4nmtd_dist.automata.dfa import DFA
 from t4nmtd_dist.automata.reduction import (
     ExclusiveGroups,
@@ -28,7 +29,8 @@ PATH_LIMIT = 100_000
 def distances(dfa: DFA, *, exclusive: ExclusiveGroups = (), mode: DistanceMode = "shortest") -> dict[int, float]:
     """dist(q) of every state: the number of transitions from q to acceptance.
 
-    Self-loops and letters that ``exclusive`` rules out do not count.
+    Self-loops and letters that ``exclusive`` rules out do not count. Where the trace ends with the episode, a step that
+    makes the formula true and is the last as well counts as two: those are two things to wait for.
 
     Args:
         dfa: the task automaton.
@@ -45,7 +47,7 @@ def distances(dfa: DFA, *, exclusive: ExclusiveGroups = (), mode: DistanceMode =
     if mode not in get_args(DistanceMode):
         raise ConfigError(f"unknown dist {mode!r}; expected one of {', '.join(get_args(DistanceMode))}")
     reduced = reduce_automaton(dfa, exclusive)
-    finite = _shortest(reduced) if mode == "shortest" else _means(reduced)
+    finite = _shortest(reduced, _waiting(dfa)) if mode == "shortest" else _means(reduced)
     return {q: finite.get(q, math.inf) for q in range(dfa.states)}
 
 
@@ -67,14 +69,25 @@ def potentials(dfa: DFA, dist: Mapping[int, float], constant: float = 100.0) -> 
     return rho
 
 
-def _shortest(reduced: ReducedAutomaton) -> dict[int, float]:
-    """Breadth-first search backwards from F."""
+def _waiting(dfa: DFA) -> frozenset[int] | None:
+    return accepts_while_waiting(dfa) if LAST in dfa.propositions else None
+
+
+def _shortest(reduced: ReducedAutomaton, waiting: frozenset[int] | None) -> dict[int, float]:
+    """Distances by relaxation backwards from F; ``waiting``: where ``last`` alone accepts, None without ``last``."""
     sources = predecessors(reduced.progress)
     dist = dict.fromkeys(reduced.accepting, 0.0)
-    layer: Iterable[int] = reduced.accepting
-    while layer:
-        layer = {q for target in layer for q in sources.get(target, ())} - dist.keys()
-        dist.update(dict.fromkeys(layer, max(dist.values()) + 1.0))
+    fresh = set(reduced.accepting)
+    while fresh:
+        found: dict[int, float] = {}
+        for target in fresh:
+            for q in sources.get(target, ()):
+                both = waiting is not None and target in reduced.accepting and q not in waiting
+                length = dist[target] + (2.0 if both else 1.0)
+                if length < min(dist.get(q, math.inf), found.get(q, math.inf)):
+                    found[q] = length
+        dist |= found
+        fresh = set(found)
     return dist
 
 

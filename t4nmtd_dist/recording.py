@@ -10,10 +10,12 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import Image, ImageDraw, ImageFont
 
+from t4nmtd_dist.automata.acceptance import LAST
 from t4nmtd_dist.environments.copies import EnvironmentCopy
 from t4nmtd_dist.environments.restoring import with_snapshots
 from t4nmtd_dist.errors import WorldError
 from t4nmtd_dist.policy import GlobalPolicy
+from t4nmtd_dist.timed_world import ends_episode, remaining_share
 
 Frame = NDArray[np.uint8]
 
@@ -62,16 +64,21 @@ def play(policy: GlobalPolicy, copy: EnvironmentCopy, seed: int) -> Iterator[Mom
         PolicyError: if the policy learned from observations of another size.
     """
     observation, q, labels, ended = copy.reset(seed), policy.dfa.initial, frozenset[str](), ""
-    policy.check_fits(observation[None])
-    for step in range(policy.config.environment.horizon + 1):
+    horizon, timed = policy.config.environment.horizon, LAST in policy.dfa.propositions
+    for step in range(horizon + 1):
+        seen = observation[None]
+        if timed:
+            seen = np.column_stack([seen, remaining_share(step, horizon)])
+        policy.check_fits(seen)
         ended = ended or _outcome(policy, q, step)
         yield Moment(_frame(copy), labels, q, None if ended else policy.subtask_of[q], step, ended)
         if ended:
             return
-        done = copy.step(policy.actions(observation[None], np.array([q], np.int32))[0][0])
+        done = copy.step(policy.actions(seen, np.array([q], np.int32))[0][0])
         labels = frozenset(name for name, holds in zip(copy.propositions, done.labels, strict=True) if holds)
-        observation, q = done.observation, policy.dfa.step(q, labels)
-        if q not in policy.dfa.accepting:
+        over = ends_episode(step + 1, horizon, terminated=done.terminated, truncated=done.truncated)
+        observation, q = done.observation, policy.dfa.step(q, {*labels, LAST} if over else labels)
+        if q not in policy.dfa.accepting | policy.dfa.error:
             ended = "the environment ended" if done.terminated else "time is up" if done.truncated else ""
 
 

@@ -62,6 +62,15 @@ def canonical_dfa(propositions: tuple[str, ...], automaton: RawAutomaton, deadli
     return DFA(propositions, np.ascontiguousarray(table), frozenset(int(q) for q in accepted))
 
 
+def numbered_dfa(propositions: tuple[str, ...], automaton: RawAutomaton) -> DFA:
+    """The states of an automaton that are reached, numbered by breadth-first search; none are merged."""
+    order = _breadth_first(automaton.delta, automaton.initial)
+    rank = np.full(len(automaton.delta), -1, np.int32)
+    rank[order] = np.arange(len(order))
+    accepted = np.flatnonzero(automaton.accepting[order])
+    return DFA(propositions, np.ascontiguousarray(rank[automaton.delta[order]]), frozenset(map(int, accepted)))
+
+
 def _with_fresh_initial(automaton: RawAutomaton) -> tuple[NDArray[np.int32], NDArray[np.bool_]]:
     """State 0 becomes a new initial state that nothing enters and that does not accept."""
     delta = np.concatenate([automaton.delta[[automaton.initial]], automaton.delta]) + np.int32(1)

@@ -11,6 +11,7 @@ from rich.console import Console
 from rich.table import Table
 from rich.text import Text
 
+from t4nmtd_dist.automata.acceptance import ACCEPTANCE_TEXT
 from t4nmtd_dist.compiled import CompiledTask, compile_task
 from t4nmtd_dist.environments.survey import Survey, survey
 from t4nmtd_dist.errors import ConfigError
@@ -52,6 +53,7 @@ def findings(task: CompiledTask, found: Survey) -> dict[str, Any]:
             "bytes": found.snapshots.room,
             "inexact": dict(found.snapshots.failures),
         },
+        "acceptance": task.config.acceptance,
         "automaton": {"states": task.dfa.states, "transitions": len(task.dfa.edges)},
         "subtasks": {pid: len(transitions) for pid, transitions in task.decomposition.subtasks.items()},
         "steps": found.steps,
@@ -88,6 +90,7 @@ def _facts(task: CompiledTask, found: Survey) -> Table:
         "snapshots": f"restore exactly by {choice.adapter!r}" + (f", {choice.room} bytes" if choice.room else ""),
         **{f"  not by {adapter!r}": reason for adapter, reason in choice.failures.items()},
         "automaton": f"{task.dfa.states} states, {len(task.dfa.edges)} transitions",
+        "acceptance": ACCEPTANCE_TEXT[task.config.acceptance],
         "sub-tasks": f"{subtasks} (transitions of each)",
         "random play": f"{play}: {endings}",
     }

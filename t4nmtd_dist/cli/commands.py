@@ -105,6 +105,7 @@ class Inspect:
             exclusive=config.exclusive if config else (),
             propositions=config.propositions if config else None,
             translator=self.translator,
+            acceptance=config.acceptance if config else "auto",
             mode=settings.mode,
             prune=settings.prune,
             dist_mode=settings.dist,

@@ -13,11 +13,13 @@ from rich.console import Console
 from rich.table import Table
 from rich.text import Text
 
+from t4nmtd_dist.automata.acceptance import ACCEPTANCE_TEXT, Acceptance, task_automaton
 from t4nmtd_dist.automata.cubes import cube_text
 from t4nmtd_dist.automata.dfa import DFA
 from t4nmtd_dist.automata.drawing import draw_svg
 from t4nmtd_dist.automata.reduction import ExclusiveGroups, reduce_automaton
 from t4nmtd_dist.automata.translate import Translator, translate
+from t4nmtd_dist.config import AcceptanceSetting
 from t4nmtd_dist.decomposition import Decomposition, Mode, decompose
 from t4nmtd_dist.errors import ConfigError
 from t4nmtd_dist.potential import DistanceMode, distances, potentials
@@ -33,6 +35,7 @@ def run_inspect(
     exclusive: ExclusiveGroups,
     propositions: Sequence[str] | None,
     translator: Translator,
+    acceptance: AcceptanceSetting,
     mode: Mode,
     prune: bool,
     dist_mode: DistanceMode,
@@ -49,6 +52,7 @@ def run_inspect(
         exclusive: groups of propositions that can never hold together.
         propositions: AP; by default the propositions of the formula.
         translator: ``auto``, ``mona`` or ``python``.
+        acceptance: when a trace is accepted.
         mode: the decomposition.
         prune: leave out transitions that no simple path to acceptance takes.
         dist_mode: ``shortest`` or ``mean``.
@@ -59,9 +63,10 @@ def run_inspect(
     Raises:
         T4NMTDError: if the formula, the settings or the file cannot be used.
     """
-    dfa = translate(formula, propositions=propositions, translator=translator)
+    automaton = translate(formula, propositions=propositions, translator=translator)
+    dfa, accepts = task_automaton(automaton, acceptance, exclusive)
     decomposition = decompose(dfa, exclusive=exclusive, mode=mode, prune=prune)
-    found = inspection(dfa, exclusive=exclusive, dist_mode=dist_mode, decomposition=decomposition)
+    found = inspection(dfa, exclusive=exclusive, dist_mode=dist_mode, decomposition=decomposition, acceptance=accepts)
     if svg is not None:
         _write(svg, draw_svg(dfa, decomposition))
     if as_json:
@@ -73,20 +78,26 @@ def run_inspect(
 
 
 def inspection(
-    dfa: DFA, *, exclusive: ExclusiveGroups, dist_mode: DistanceMode, decomposition: Decomposition
+    dfa: DFA,
+    *,
+    exclusive: ExclusiveGroups,
+    dist_mode: DistanceMode,
+    decomposition: Decomposition,
+    acceptance: Acceptance = "first",
 ) -> Inspection:
     """All that ``inspect`` shows, ready for JSON.
 
     Returns:
-        ``propositions``, ``states`` and ``transitions`` (how many), ``initial``, ``accepting``, ``error``,
-        ``edges`` (source, target and guard: a list of cubes, each a list of literals), ``dist`` and
-        ``potential`` (by state as text; dist is null where acceptance is out of reach), and ``subtasks``
-        (pid to [[q, q'], ...]). Where ``exclusive`` makes the automaton smaller, ``reduced`` says how many
-        states and transitions are left.
+        ``acceptance`` (``first`` or ``end``), ``propositions``, ``states`` and ``transitions`` (how many),
+        ``initial``, ``accepting``, ``error``, ``edges`` (source, target and guard: a list of cubes, each a list of
+        literals), ``dist`` and ``potential`` (by state as text; dist is null where acceptance is out of reach), and
+        ``subtasks`` (pid to [[q, q'], ...]). Where ``exclusive`` makes the automaton smaller, ``reduced`` says how
+        many states and transitions are left.
     """
     reduced = reduce_automaton(dfa, exclusive)
     dist = distances(dfa, exclusive=exclusive, mode=dist_mode)
     found: Inspection = {
+        "acceptance": acceptance,
         **dfa.to_json(),
         "transitions": len(dfa.edges),
         "dist": {str(q): d if math.isfinite(d) else None for q, d in dist.items()},
@@ -122,6 +133,7 @@ def _summary(found: Inspection) -> str:
     text = (
         f"{found['states']} states, {found['transitions']} transitions, propositions {', '.join(found['propositions'])}"
     )
+    text += f"\nAccepts {ACCEPTANCE_TEXT[found['acceptance']]}"
     if left := found.get("reduced"):
         text += (
             f"\nWithout the letters that exclusive propositions rule out: "

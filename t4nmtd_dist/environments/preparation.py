@@ -55,9 +55,9 @@ def _asks_for_more(config: TaskConfig) -> bool:
 
 
 def _check_world(task: CompiledTask) -> None:
-    from t4nmtd_dist.worlds import make_world
+    from t4nmtd_dist.timed_world import make_task_world
 
-    world = make_world(task.config.environment, 1, task.config.propositions)
+    world = make_task_world(task.config, 1)
     check_fit(task, world.propositions, world.action_space)
 
 
@@ -68,11 +68,11 @@ def slowness(config: EnvironmentConfig) -> str | None:
 
 def _checked(task: CompiledTask) -> EnvironmentConfig:
     from t4nmtd_dist.environments.restoring import choose_snapshots, chosen
-    from t4nmtd_dist.worlds import make_world
+    from t4nmtd_dist.timed_world import make_task_world
 
     config = task.config
     environment = chosen(config.environment, choose_snapshots(config.environment, config.propositions))
-    world = make_world(environment, 1, config.propositions)
+    world = make_task_world(dataclasses.replace(config, environment=environment), 1)
     check_fit(task, world.propositions, world.action_space)
     world.reset(np.arange(1), 0)
     world.step(np.array([world.action_space.sample()]))

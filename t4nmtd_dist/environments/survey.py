@@ -6,13 +6,17 @@ import time
 from collections import Counter
 from dataclasses import dataclass, field
 
+from t4nmtd_dist.automata.acceptance import LAST
 from t4nmtd_dist.compiled import CompiledTask
 from t4nmtd_dist.environments.copies import EnvironmentCopy
 from t4nmtd_dist.environments.preparation import check_fit, slowness
 from t4nmtd_dist.environments.restoring import Choice, choose_snapshots, chosen
 from t4nmtd_dist.errors import T4NMTDError, WorldError
+from t4nmtd_dist.timed_world import ends_episode
 
 MORE_TRIALS = 20
+FORGOTTEN = 0.05
+"""The share of a reward that a learner must still see from the start of an episode."""
 
 
 @dataclass
@@ -26,6 +30,7 @@ class Survey:
         propositions: all that may be reported.
         snapshots: the adapter that restores exactly.
         steps, episodes: how many were taken.
+        cut: episodes that the environment itself ended before the horizon.
         endings: episodes by how they ended: accepted, error, terminated, truncated, horizon.
         true_steps: steps on which each proposition held.
         together: how often each set of names that an exclusive group forbids was seen.
@@ -42,6 +47,7 @@ class Survey:
     snapshots: Choice
     steps: int = 0
     episodes: int = 0
+    cut: int = 0
     endings: Counter[str] = field(default_factory=Counter)
     true_steps: Counter[str] = field(default_factory=Counter)
     together: Counter[tuple[str, ...]] = field(default_factory=Counter)
@@ -94,7 +100,8 @@ def _described(copy: EnvironmentCopy, choice: Choice) -> Survey:
 
 def _fits(task: CompiledTask, copy: EnvironmentCopy, found: Survey) -> None:
     try:
-        check_fit(task, copy.propositions, copy.action_space)
+        last = (LAST,) if task.config.acceptance == "end" else ()
+        check_fit(task, (*copy.propositions, *last), copy.action_space)
     except WorldError as error:
         found.problems.append(str(error))
 
@@ -109,8 +116,8 @@ def _act(task: CompiledTask, copy: EnvironmentCopy, found: Survey, steps: int, s
 
 def _episode(task: CompiledTask, copy: EnvironmentCopy, found: Survey, steps: int, seed: int) -> None:
     copy.reset(seed if not found.steps else None)
-    q, ending = task.dfa.initial, "horizon"
-    for _ in range(task.config.environment.horizon):
+    q, ending, horizon = task.dfa.initial, "horizon", task.config.environment.horizon
+    for t in range(1, horizon + 1):
         step = copy.step(copy.action_space.sample())
         names = [name for name, holds in zip(copy.propositions, step.labels, strict=True) if holds]
         found.steps += 1
@@ -118,6 +125,9 @@ def _episode(task: CompiledTask, copy: EnvironmentCopy, found: Survey, steps: in
         for group in task.config.exclusive:
             both = tuple(name for name in names if name in group)
             found.together.update([both] if len(both) > 1 else [])
+        if ends_episode(t, horizon, terminated=step.terminated, truncated=step.truncated):
+            found.cut += t < horizon
+            names.append(LAST)
         q = task.dfa.step(q, names)
         ending = _ending(task, q, step.terminated, step.truncated)
         if ending != "horizon":
@@ -151,6 +161,26 @@ def _judge(task: CompiledTask, found: Survey) -> None:
     always = [name for name in found.propositions if found.true_steps[name] == found.steps]
     if always:
         found.warnings.append(f"{', '.join(always)} held on every step: does it depend on the state?")
+    found.warnings += _about_the_end(task, found)
     slow = slowness(chosen(task.config.environment, found.snapshots))
     if slow is not None:
         found.warnings.append(slow)
+
+
+def _about_the_end(task: CompiledTask, found: Survey) -> list[str]:
+    """What deserves a look where the trace ends with the episode."""
+    if task.config.acceptance != "end":
+        return []
+    horizon, gamma = task.config.environment.horizon, task.config.learner.gamma
+    warnings = []
+    if gamma**horizon < FORGOTTEN:
+        warnings.append(
+            f"success comes with the end of the episode, {horizon} steps away, of which learner.gamma = {gamma} leaves "
+            f"{gamma**horizon:.1g}: raise it to {1 - 1 / horizon:.4g} or more, or lower environment.horizon"
+        )
+    if found.cut:
+        warnings.append(
+            f"the environment itself ended {found.cut} of {found.episodes} episodes before the horizon: the trace ends "
+            "there, and counts as accepted if the formula holds by then; make a proposition of what must not end it"
+        )
+    return warnings

@@ -15,7 +15,8 @@ from t4nmtd_dist.learners.attempts import Attempts
 from t4nmtd_dist.learners.ppo import PPOLearner
 from t4nmtd_dist.learners.protocol import Learner
 from t4nmtd_dist.product import LetterReader, SubtaskTables, subtask_tables
-from t4nmtd_dist.worlds import BatchedWorld, make_world
+from t4nmtd_dist.timed_world import make_task_world
+from t4nmtd_dist.worlds import BatchedWorld
 
 
 def subtask_seed(seed: int, pid: str, epoch: int) -> int:
@@ -50,7 +51,7 @@ def build_learner(
         error_penalty=settings.error_penalty,
     )
     count = config.sac.worlds if settings.algorithm == "sac" else config.ppo.worlds
-    world = make_world(config.environment, count, config.propositions)
+    world = make_task_world(config, count)
     attempts = _attempts(task, tables, world, buffer, seed)
     if settings.algorithm == "ppo":
         actions = action_count(world.action_space, config.environment.id)
@@ -69,6 +70,13 @@ def build_learner(
     )  # fmt: skip
 
 
+def _attempt_steps(task: CompiledTask, tables: SubtaskTables) -> int:
+    """An attempt at what is only reached at the end of an episode must be able to last until then."""
+    steps = task.config.learner.attempt_steps
+    waits_for_end = task.config.acceptance == "end" and not tables.target[:, ~tables.accepting].any()
+    return max(steps, task.config.environment.horizon) if waits_for_end else steps
+
+
 def _attempts(
     task: CompiledTask, tables: SubtaskTables, world: BatchedWorld, buffer: InitialStateBuffer, seed: int
 ) -> Attempts:
@@ -80,7 +88,7 @@ def _attempts(
         task.dfa.delta,
         buffer,
         reset_q=task.dfa.initial if tables.available[task.dfa.initial] else None,
-        attempt_steps=settings.attempt_steps,
+        attempt_steps=_attempt_steps(task, tables),
         hand_over_all=settings.hand_over == "changes",
         rng=np.random.default_rng([seed, 0]),
     )

@@ -316,6 +316,7 @@ class DashboardState(Message, frozen=True, tag="dashboard_state"):
     q_table: list[QCell]
     evaluations: list[EvaluationRow]
     events: list[EventLine]
+    acceptance: Literal["first", "end"] = "first"
 
 
 KINDS: dict[str, type[Message]] = {
