@@ -18,6 +18,7 @@ CORRIDOR = f"""
 name = "corridor"
 formula = "F(left & X(F(right))) & G(!again)"
 propositions = ["left", "right", "again"]
+acceptance = "first"
 [environment]
 id = "own_environments:Corridor"
 path = "{HERE}"

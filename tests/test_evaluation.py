@@ -121,6 +121,7 @@ def test_an_error_ends_an_episode_and_is_not_in_its_return(tmp_path: Path) -> No
 name = "own"
 formula = "F(p1) & G(!p2)"
 propositions = ["p1", "p2"]
+acceptance = "first"
 [environment]
 id = "envs:t4nmtd/FrozenLake-v0"
 horizon = 50

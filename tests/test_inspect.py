@@ -24,7 +24,7 @@ BOTH = "F(a & X(F b)) & G(!(a & c))"
 def inspect(formula: str, width: int = 80, **changes: Any) -> str:
     settings: dict[str, Any] = {
         "name": "mine", "title": "first a, then b", "formula": formula, "exclusive": (), "propositions": None,
-        "translator": "python", "mode": "objective", "prune": True, "dist_mode": "shortest",
+        "translator": "python", "acceptance": "first", "mode": "objective", "prune": True, "dist_mode": "shortest",
         "as_json": False, "svg": None,
     }  # fmt: skip
     console = Console(file=io.StringIO(), width=width, color_system=None)
@@ -36,7 +36,7 @@ def inspect(formula: str, width: int = 80, **changes: Any) -> str:
 def test_json_has_the_documented_keys() -> None:
     found = json.loads(inspect(BOTH, as_json=True))
     assert set(found) == {
-        "propositions", "states", "transitions", "initial", "accepting", "error", "edges", "dist",
+        "acceptance", "propositions", "states", "transitions", "initial", "accepting", "error", "edges", "dist",
         "potential", "subtasks",
     }  # fmt: skip
     assert (found["states"], found["transitions"]) == (4, len(found["edges"]))

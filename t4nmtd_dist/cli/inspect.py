@@ -35,7 +35,7 @@ def run_inspect(
     exclusive: ExclusiveGroups,
     propositions: Sequence[str] | None,
     translator: Translator,
-    acceptance: AcceptanceSetting,
+    acceptance: AcceptanceSetting = "auto",
     mode: Mode,
     prune: bool,
     dist_mode: DistanceMode,
