@@ -14,7 +14,7 @@ from t4nmtd_dist.initial_state_buffer import InitialStateBuffer
 from t4nmtd_dist.learners.attempts import Attempts
 from t4nmtd_dist.learners.ppo import PPOLearner
 from t4nmtd_dist.learners.protocol import Learner
-from t4nmtd_dist.product import LetterReader, SubtaskTables, subtask_tables
+from t4nmtd_dist.product import ACCEPTANCE_REWARD, LetterReader, SubtaskTables, subtask_tables
 from t4nmtd_dist.timed_world import make_task_world
 from t4nmtd_dist.worlds import BatchedWorld
 
@@ -48,7 +48,7 @@ def build_learner(
         task.rho,
         gamma=settings.gamma,
         shaping=settings.shaping,
-        error_penalty=settings.error_penalty,
+        error_penalty=_error_penalty(task),
     )
     count = config.sac.worlds if settings.algorithm == "sac" else config.ppo.worlds
     world = make_task_world(config, count)
@@ -68,6 +68,12 @@ def build_learner(
         pid, attempts, tables, delta, settings, config.sac, high_level,
         bounds=bounds, seed=seed, peers=len(task.decomposition.pids) - 1, device=device,
     )  # fmt: skip
+
+
+def _error_penalty(task: CompiledTask) -> float:
+    """Where success comes at the end of the episode only, a late error must be better than an early one."""
+    least = ACCEPTANCE_REWARD if task.config.acceptance == "end" else 0.0
+    return max(task.config.learner.error_penalty, least)
 
 
 def _attempt_steps(task: CompiledTask, tables: SubtaskTables) -> int:
