@@ -94,9 +94,9 @@ def test_sampling_is_reproducible_from_a_seed(make: Any, observe: Any) -> None:
 
 
 def test_an_unknown_way_of_acting_is_refused() -> None:
-    with pytest.raises(PolicyError, match="'best'.*greedy.*sampled"):
+    with pytest.raises(PolicyError, match=r"'best'.*greedy.*sampled"):
         lake_policy().act(LAKE, (), actions="best")  # type: ignore[arg-type]
-    with pytest.raises(PolicyError, match="'random'.*greedy.*sampled"):
+    with pytest.raises(PolicyError, match=r"'random'.*greedy.*sampled"):
         lake_policy(mode="random")
 
 

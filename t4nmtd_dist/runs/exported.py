@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from safetensors import SafetensorError
 from safetensors.numpy import save_file
 
+from t4nmtd_dist.action_modes import ActionMode
 from t4nmtd_dist.compiled import CompiledTask
 from t4nmtd_dist.high_level import QEntries
 from t4nmtd_dist.learners.actors import acting_parameters
@@ -29,6 +30,8 @@ def export_policy(
     q_table: QEntries,
     weights: Mapping[str, Mapping[str, NDArray[Any]]],
     about: Mapping[str, Any],
+    *,
+    mode: ActionMode = "greedy",
 ) -> None:
     """Write the global policy into ``folder``, replacing what is there only once all is written.
 
@@ -38,6 +41,7 @@ def export_policy(
         q_table: known entries of Q(q, T).
         weights: by pid, all parameters; only those of the actors that act are kept.
         about: where it comes from (interactions, versions, seed), for readers.
+        mode: how the policy is to act unless told otherwise: in the way in which it was evaluated.
 
     Raises:
         OSError: if it cannot be written.
@@ -57,6 +61,7 @@ def export_policy(
     data = {
         "format": POLICY_FORMAT,
         "about": dict(about),
+        "actions": mode,
         "task": task.config.to_dict(),
         "dfa": task.dfa.to_json(),
         "decomposition": task.decomposition.to_json(),
