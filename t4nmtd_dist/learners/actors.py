@@ -1,4 +1,4 @@
-"""Actors rebuilt from exported weights: a categorical or a squashed Gaussian, of which the mode or a sample is taken."""
+"""Actors rebuilt from exported weights: a categorical or a squashed Gaussian; the mode or a sample is taken of it."""
 
 from __future__ import annotations
 
