@@ -63,6 +63,24 @@ class Recorder:
         except OSError as error:
             self._notices.once(f"cannot write to {self._run.path}: {error.strerror or error}; going on without")
 
+    def _export(self) -> None:
+        """Write the best policy so far, if there is one."""
+        state, best = self._state, self._state.evaluations.best
+        if best is None:
+            return
+        about = {
+            "interactions": best.row.interactions,
+            "evaluation": best.row.job,
+            "success_rate": best.row.success_rate,
+            "episodes": state.task.config.evaluation.episodes,
+            "actions": best.row.actions,
+            "versions": best.snapshot.versions,
+            "seed": state.settings.seed,
+            "outcome": state.outcome,
+        }
+        folder, snapshot = self._run.path / "policy", best.snapshot
+        export_policy(folder, state.task, snapshot.q_table, snapshot.weights, about, mode=best.row.actions)
+
     def _evaluation(self, row: EvaluationRow) -> None:
         self._run.append_metrics(
             "evaluations",
@@ -73,6 +91,8 @@ class Recorder:
                 "mean_length": row.mean_length,
                 "std_length": row.std_length,
                 "mean_return": row.mean_return,
+                "actions": row.actions,
+                "other_success_rate": row.other_success_rate,
             },
         )
         if self._event_files is not None:
@@ -120,15 +140,7 @@ class Recorder:
         state = self._state
         self._metrics_due = 0.0
         self.metrics()
-        snapshot = state.evaluations.last
-        if snapshot is not None:
-            about = {
-                "interactions": snapshot.interactions,
-                "versions": snapshot.versions,
-                "seed": state.settings.seed,
-                "outcome": state.outcome,
-            }
-            export_policy(self._run.path / "policy", state.task, snapshot.q_table, snapshot.weights, about)
+        self._export()
         self._run.write_summary(summary(state))
         self._result_due = False
 

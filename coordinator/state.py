@@ -338,6 +338,7 @@ class CoordinatorState:
             interactions=snapshot.interactions,
             q_table=snapshot.q_table,
             versions=snapshot.versions,
+            actions=self.evaluations.modes,
         )
         arrays = {f"{pid}/weights.{name}": array for pid, named in weights.items() for name, array in named.items()}
         return [Send(peer, job, arrays, answers)]
@@ -357,8 +358,13 @@ class CoordinatorState:
             return []
         told: list[Action] = [RecordEvaluation(row)]
         if self.evaluations.solved:
-            return told + self._finish("solved", f"after {self.evaluations.solved_at} interactions")
+            return told + self._finish("solved", self._solved_text())
         return told
+
+    def _solved_text(self) -> str:
+        evaluations = self.evaluations
+        first = f"after {evaluations.solved_at} interactions (the first of {evaluations.config.in_a_row} evaluations "
+        return f"{first}in a row), {self.interactions} in all"
 
     # The end
 
