@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 from coordinator_events import Conversation, of
+from numpy.typing import NDArray
 
 from coordinator.events import Finish, RecordEvaluation, Send, Tell
 from coordinator.snapshot import summary
@@ -33,9 +34,13 @@ class Evaluated(Conversation):
     def train(self, steps: int, *, fresh: bool = True, processor_s: float = 0.0) -> None:
         self.steps += steps
         self.weights_version += fresh
-        arrays = {"weights.actor.0.weight": np.full(1, self.weights_version, np.float32)} if fresh else {}
+        arrays = self.weights() if fresh else {}
         stats = LearnerStats(phase="training", interactions=self.steps, processor_s=processor_s)
         self.sync("p1", "w", sequence=self.steps, version=self.weights_version, stats=stats, arrays=arrays)
+
+    def weights(self) -> dict[str, NDArray[np.float32]]:
+        """Weights of the newest version."""
+        return {"weights.actor.0.weight": np.full(1, self.weights_version, np.float32)}
 
     def poll(self) -> EvaluationJob:
         job = self.answer("e", EvaluationPoll(epoch=self.epoch))
