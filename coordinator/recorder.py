@@ -97,6 +97,9 @@ class Recorder:
         )
         if self._event_files is not None:
             self._event_files.add("evaluations", row.interactions, evaluation_scalars(row))
+        best = self._state.evaluations.best
+        if best is not None and best.row is row:
+            self._export()
 
     def metrics(self) -> None:
         """Append every learner's counts, every few seconds."""

@@ -5,15 +5,12 @@ An exported policy is a folder: ``policy.json`` (format version, task, DFA, Q, s
 
 from __future__ import annotations
 
-import json
 from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from safetensors import SafetensorError
-from safetensors.numpy import load_file
 
 from t4nmtd_dist.action_modes import ActionMode, action_mode
 from t4nmtd_dist.automata.dfa import DFA
@@ -24,7 +21,7 @@ from t4nmtd_dist.high_level import QEntries
 from t4nmtd_dist.learners.actors import Actions, make_actor
 from t4nmtd_dist.learners.networks import product_state
 from t4nmtd_dist.one_thread import one_torch_thread
-from t4nmtd_dist.runs.exported import ACTORS_FILE, POLICY_FILE, POLICY_FORMAT
+from t4nmtd_dist.runs.exported import ACTORS_FILE, POLICY_FILE, POLICY_FORMAT, read_export
 from t4nmtd_dist.worlds import Observations
 
 ActorWeights = Mapping[str, Mapping[str, NDArray[Any]]]
@@ -206,12 +203,7 @@ def load(path: str | Path, *, seed: int | None = None) -> GlobalPolicy:
     Raises:
         PolicyError: if there is no policy, it is damaged, or of another format version.
     """
-    folder = _policy_folder(Path(path))
-    try:
-        data = json.loads((folder / POLICY_FILE).read_text(encoding="utf-8"))
-        arrays = load_file(folder / ACTORS_FILE)
-    except (OSError, ValueError, SafetensorError) as error:
-        raise PolicyError(f"cannot read the policy in {folder}: {error}") from None
+    folder, data, arrays = _read(Path(path))
     found = data.get("format") if isinstance(data, dict) else None
     if found != POLICY_FORMAT:
         raise PolicyError(f"{folder}: policy format {found!r}; this program reads {POLICY_FORMAT}")
@@ -238,8 +230,14 @@ def _restored(data: Mapping[str, Any], actors: ActorWeights, folder: Path, seed:
     )
 
 
-def _policy_folder(path: Path) -> Path:
-    for folder in (path, path / "policy"):
-        if (folder / POLICY_FILE).is_file():
-            return folder
-    raise PolicyError(f"no policy in {path}; expected {POLICY_FILE} there or in {path / 'policy'}")
+def _read(path: Path) -> tuple[Path, Any, dict[str, NDArray[Any]]]:
+    """The export in ``path`` or in ``policy`` below it."""
+    try:
+        return read_export(path, path / "policy")
+    except FileNotFoundError:
+        raise PolicyError(
+            f"no policy in {path}; expected {POLICY_FILE} and {ACTORS_FILE} there or in {path / 'policy'}, where a run "
+            "exports its best policy after its first evaluation"
+        ) from None
+    except (OSError, ValueError) as error:
+        raise PolicyError(f"cannot read the policy in {path}: {error}") from None

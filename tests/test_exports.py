@@ -55,7 +55,7 @@ def test_who_loads_while_a_policy_is_exported_gets_a_whole_one(tmp_path: Path) -
     loaded = 0
     try:
         while writer.is_alive() or not loaded:
-            policy = load(tmp_path)
+            policy = load(tmp_path if loaded % 2 else tmp_path / "policy")
             ((_, pid, _),) = policy.q_table
             assert set(policy.subtask_of.values()) == {pid}
             loaded += 1
