@@ -31,6 +31,7 @@ from t4nmtd_dist.compiled import CompiledTask
 from t4nmtd_dist.errors import ProtocolError
 from t4nmtd_dist.initial_state_buffer import InitialStateBuffer
 from t4nmtd_dist.learners.actors import acting_parameters
+from t4nmtd_dist.runs.report import solved_text
 from t4nmtd_dist.wire.codec import with_prefix, without_prefix
 from t4nmtd_dist.wire.limits import most_starts
 from t4nmtd_dist.wire.messages import (
@@ -358,13 +359,10 @@ class CoordinatorState:
             return []
         told: list[Action] = [RecordEvaluation(row)]
         if self.evaluations.solved:
-            return told + self._finish("solved", self._solved_text())
+            first, needed = self.evaluations.solved_at or 0, self.evaluations.config.in_a_row
+            reason = solved_text(first, self.interactions, needed).removeprefix("solved ")
+            return told + self._finish("solved", reason)
         return told
-
-    def _solved_text(self) -> str:
-        evaluations = self.evaluations
-        first = f"after {evaluations.solved_at} interactions (the first of {evaluations.config.in_a_row} evaluations "
-        return f"{first}in a row), {self.interactions} in all"
 
     # The end
 

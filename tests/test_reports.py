@@ -87,6 +87,7 @@ def test_the_status_page_has_the_same_words(
     assert "best evaluation 75% with sampled actions at 100 inter" in page(stopped((0.75, "sampled"), (0.5, "greedy")))
     assert "100% successful in a row: 5 of 5" in page(solved())
     assert "at least 90% successful in a row: 5 of 5" in page(solved("evaluation.success=0.9"))
+    assert "at least 99.5% successful in a row" in page(solved("evaluation.success=0.995"))
     assert "perfect" not in page(solved("evaluation.success=0.9"))
 
 
