@@ -19,9 +19,12 @@ from small_tasks import START, small_learner, small_task
 from test_coordinator_evaluations import Evaluated
 
 from coordinator.events import Interrupted
+from coordinator.keeping import go_on
 from coordinator.recorder import Recorder
+from coordinator.saved_state import saved_state
 from t4nmtd_dist.errors import PolicyError
 from t4nmtd_dist.policy import load
+from t4nmtd_dist.runs.checkpoints import write_checkpoint
 from t4nmtd_dist.runs.directory import RunDirectory
 from t4nmtd_dist.runs.exported import POLICY_FILE, export_policy
 
@@ -134,6 +137,62 @@ def test_the_best_policy_is_exported_at_the_end(talk: Learned, tmp_path: Path) -
     recorder.close()
     assert (about(run.path)["evaluation"], about(run.path)["outcome"]) == (1, "stopped")
     assert run.read_summary()["policy"]["job"] == 1
+
+
+def test_a_resumed_run_keeps_a_better_policy_that_was_exported_after_its_checkpoint(
+    talk: Learned, tmp_path: Path
+) -> None:
+    run = RunDirectory(tmp_path / "run")
+    recorder = Recorder(talk.state, run)
+    for success, mode in ((0.5, "greedy"), (0.9, "sampled")):
+        for action in talk.evaluate(success, actions=mode):
+            recorder.record(action)
+    best = talk.state.evaluations.best
+    assert best is not None
+    resumed = Learned("evaluation.actions=best")
+    go_on(resumed.state, run.checkpoints, pytest.fail)
+    found = resumed.state.evaluations.best
+    assert found is not None
+    assert found.row == best.row
+    assert found.snapshot.versions == best.snapshot.versions
+    assert found.snapshot.q_table == best.snapshot.q_table
+    recorder = Recorder(resumed.state, run)
+    for success, job in ((0.8, 2), (0.95, 2)):
+        for action in resumed.evaluate(success):
+            recorder.record(action)
+        assert about(run.path)["success_rate"] == max(success, 0.9)
+    assert load(run.path).mode == "greedy"
+
+
+def test_a_worse_exported_policy_does_not_replace_that_of_the_checkpoint(talk: Learned, tmp_path: Path) -> None:
+    run = RunDirectory(tmp_path / "run")
+    recorder = Recorder(talk.state, run)
+    for action in talk.evaluate(0.5):
+        recorder.record(action)
+    talk.evaluate(0.9)
+    write_checkpoint(run.checkpoints / "coordinator", {"run_id": "", "place": "coordinator"}, saved_state(talk.state))
+    resumed = Learned("evaluation.actions=best")
+    go_on(resumed.state, run.checkpoints, pytest.fail)
+    found = resumed.state.evaluations.best
+    assert found is not None
+    assert found.row.success_rate == 0.9
+
+
+@pytest.mark.parametrize("damage", ["{", '{"format": 1}', "[]", '{"about": {"row": {"job": "x"}}, "q_table": []}'])
+def test_an_exported_policy_that_cannot_be_read_is_told_of_and_not_kept(
+    damage: str, talk: Learned, tmp_path: Path
+) -> None:
+    run = RunDirectory(tmp_path / "run")
+    recorder = Recorder(talk.state, run)
+    for action in talk.evaluate(0.5):
+        recorder.record(action)
+    (run.path / "policy" / POLICY_FILE).write_text(damage, encoding="utf-8")
+    told: list[str] = []
+    resumed = Learned()
+    go_on(resumed.state, run.checkpoints, told.append)
+    assert resumed.state.evaluations.best is None
+    (line,) = told
+    assert str(run.path / "policy") in line
 
 
 # A run of processes

@@ -15,7 +15,6 @@ import tyro
 from processes import Processes
 from rich.console import Console
 from small_tasks import own_task
-from t4nmtd_dist.runs.report import outcome_text
 from test_coordinator_evaluations import Evaluated
 from test_evaluation_modes import CORRIDOR
 
@@ -25,6 +24,7 @@ from coordinator.events import Interrupted
 from coordinator.snapshot import dashboard_state, status, summary
 from t4nmtd_dist.cli import status as status_command
 from t4nmtd_dist.cli.commands import Command
+from t4nmtd_dist.runs.report import outcome_text
 
 SOLVED = "solved after 300 interactions (the first of 5 evaluations in a row), 700 in all"
 
