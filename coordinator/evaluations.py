@@ -156,9 +156,13 @@ class EvaluationSchedule:
             other_success_rate=report.other_success_rate,
         )
         self.history.append(row)
-        if self.best is None or _rank(row) >= _rank(self.best.row):
-            self.best = EvaluatedPolicy(snapshot, row)
+        self.consider(EvaluatedPolicy(snapshot, row))
         return row
+
+    def consider(self, evaluated: EvaluatedPolicy) -> None:
+        """Keep a policy as the best if none before it succeeded more often."""
+        if self.best is None or _rank(evaluated.row) >= _rank(self.best.row):
+            self.best = evaluated
 
     @property
     def modes(self) -> tuple[ActionMode, ...]:

@@ -7,13 +7,13 @@ from contextlib import contextmanager
 
 from coordinator.events import Action, Finish, RecordEvaluation
 from coordinator.events import Tell as TellAction
+from coordinator.kept_policy import export_best
 from coordinator.scalars import evaluation_scalars, learner_scalars
 from coordinator.snapshot import summary
 from coordinator.state import CoordinatorState
 from t4nmtd_dist.errors import RunError
 from t4nmtd_dist.runs.directory import RunDirectory
 from t4nmtd_dist.runs.event_files import TensorBoard, open_event_files
-from t4nmtd_dist.runs.exported import export_policy
 from t4nmtd_dist.wire.messages import EvaluationRow
 from t4nmtd_dist.wire.notices import Notices, Tell
 
@@ -63,24 +63,6 @@ class Recorder:
         except OSError as error:
             self._notices.once(f"cannot write to {self._run.path}: {error.strerror or error}; going on without")
 
-    def _export(self) -> None:
-        """Write the best policy so far, if there is one."""
-        state, best = self._state, self._state.evaluations.best
-        if best is None:
-            return
-        about = {
-            "interactions": best.row.interactions,
-            "evaluation": best.row.job,
-            "success_rate": best.row.success_rate,
-            "episodes": state.task.config.evaluation.episodes,
-            "actions": best.row.actions,
-            "versions": best.snapshot.versions,
-            "seed": state.settings.seed,
-            "outcome": state.outcome,
-        }
-        folder, snapshot = self._run.path / "policy", best.snapshot
-        export_policy(folder, state.task, snapshot.q_table, snapshot.weights, about, mode=best.row.actions)
-
     def _evaluation(self, row: EvaluationRow) -> None:
         self._run.append_metrics(
             "evaluations",
@@ -99,7 +81,7 @@ class Recorder:
             self._event_files.add("evaluations", row.interactions, evaluation_scalars(row))
         best = self._state.evaluations.best
         if best is not None and best.row is row:
-            self._export()
+            export_best(self._state, self._run.path / "policy")
 
     def metrics(self) -> None:
         """Append every learner's counts, every few seconds."""
@@ -143,7 +125,7 @@ class Recorder:
         state = self._state
         self._metrics_due = 0.0
         self.metrics()
-        self._export()
+        export_best(state, self._run.path / "policy")
         self._run.write_summary(summary(state))
         self._result_due = False
 

@@ -157,7 +157,7 @@ def test_a_resumed_run_keeps_a_better_policy_that_was_exported_after_its_checkpo
     assert found.snapshot.versions == best.snapshot.versions
     assert found.snapshot.q_table == best.snapshot.q_table
     recorder = Recorder(resumed.state, run)
-    for success, job in ((0.8, 2), (0.95, 2)):
+    for success in (0.8, 0.95):
         for action in resumed.evaluate(success):
             recorder.record(action)
         assert about(run.path)["success_rate"] == max(success, 0.9)
