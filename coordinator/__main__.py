@@ -60,6 +60,7 @@ def run(command: CoordinatorCommand) -> int:
 def _serve(command: CoordinatorCommand) -> int:
     from coordinator.doors import Access
     from coordinator.service import CoordinatorService
+    from coordinator.snapshot import summary
     from coordinator.state import CoordinatorState, RunSettings
     from coordinator.viewer import BackgroundViewer
     from t4nmtd_dist.cli.plan import plan_run
@@ -67,6 +68,7 @@ def _serve(command: CoordinatorCommand) -> int:
     from t4nmtd_dist.environments.preparation import prepared, slowness
     from t4nmtd_dist.errors import ConfigError
     from t4nmtd_dist.launch.ends import hear_ends
+    from t4nmtd_dist.runs.report import outcome_text
     from t4nmtd_dist.wire.addresses import here
     from t4nmtd_dist.wire.sockets import new_context
 
@@ -104,7 +106,7 @@ def _serve(command: CoordinatorCommand) -> int:
     finally:
         if viewer is not None:
             viewer.close()
-    print(f"{config.name}: {state.outcome} after {state.interactions} interactions; run directory {directory}")
+    print(f"{config.name} seed {plan.seed}: {outcome_text(summary(state), directory)}; run directory {directory}")
     return EXIT_CODES[state.outcome or "stopped"]
 
 

@@ -139,6 +139,7 @@ def summary(state: DashboardState, *, width: int) -> RenderableType:
         _section(f"{state.task}: {state.title}", panels.header(state, width, True), False),
         _section("learners", tables.learners(state, width, rows), False),
         _section("evaluation", panels.evaluation(state, width, 5), False),
+        *([Text(clean(told), overflow="fold")] if (told := panels.result(state)) else []),
         Text(f"run directory {clean(state.run_dir)}", overflow="fold"),
     )
 
@@ -146,18 +147,27 @@ def summary(state: DashboardState, *, width: int) -> RenderableType:
 def plain_line(state: DashboardState) -> str:
     """The state in one line without any control code, for logs and pipes."""
     budget = f"/{count(state.max_interactions)}" if state.max_interactions > 0 else ""
-    success = percent(state.evaluations[-1].success_rate) if state.evaluations else "not evaluated"
+    success = panels.success(state.evaluations[-1]) if state.evaluations else "not evaluated"
     parts = [
         f"{duration(state.elapsed_s)} {state.task} {state.phase}",
         f"{count(state.interactions)}{budget} interactions",
         f"success {success}",
-        f"{state.solved_in_a_row}/{state.solved_needed} in a row",
+        panels.row_so_far(state),
+        _result(state),
         " ".join(f"{row.pid}:{row.phase}:{percent(row.recent_success)}" for row in state.learners),
     ]
     lost = _lost(state)
     if lost:
         parts.append(f"LOST {', '.join(sorted(lost))}")
     return clean(" | ".join(part for part in parts if part))
+
+
+def _result(state: DashboardState) -> str:
+    """What a run that is over came to, in a few words."""
+    if state.solved_at is not None:
+        return f"solved after {count(state.solved_at)}, {count(state.interactions)} in all"
+    over = state.phase not in panels.RUNNING
+    return f"best {panels.success(state.policy)}" if over and state.policy is not None else ""
 
 
 def _lost(state: DashboardState) -> frozenset[str]:

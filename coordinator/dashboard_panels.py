@@ -6,13 +6,15 @@ Each function draws one part of a ``DashboardState`` for a given room in termina
 from __future__ import annotations
 
 import math
+from pathlib import Path
 
 from rich.console import Group, RenderableType
 from rich.text import Text
 
 from coordinator.dashboard_tables import dist, last_path
 from coordinator.dashboard_text import bar, clip, count, curve, duration, line, percent, rate, spaced
-from t4nmtd_dist.wire.messages import DashboardState
+from t4nmtd_dist.runs.report import percent_text, policy_text, solved_text
+from t4nmtd_dist.wire.messages import DashboardState, EvaluationRow
 
 PHASE_STYLE = {
     "starting": "bold cyan",
@@ -77,14 +79,36 @@ def _budget_line(state: DashboardState, width: int) -> Text:
     return text
 
 
+def row_so_far(state: DashboardState) -> str:
+    """How many evaluations in a row succeeded, such as 2/5 in a row; from which rate on, if not 100 %."""
+    needed = "" if state.success_needed == 1 else f" at {percent_text(state.success_needed)}"
+    return f"{state.solved_in_a_row}/{state.solved_needed} in a row{needed}"
+
+
+def success(row: EvaluationRow) -> str:
+    """The success rate of an evaluation, and its mode if that is not the usual, greedy one."""
+    return percent(row.success_rate) + (" sampled" if row.actions == "sampled" else "")
+
+
+def result(state: DashboardState) -> str:
+    """What the run came to so far: how the task was solved, and the best policy."""
+    told = []
+    if state.solved_at is not None:
+        told.append(solved_text(state.solved_at, state.interactions, state.solved_needed))
+    if state.policy is not None:
+        best = state.policy
+        told.append(policy_text(best.success_rate, best.actions, best.interactions, Path(state.run_dir)))
+    return "; ".join(told)
+
+
 def _solved_line(state: DashboardState) -> Text:
     last = state.evaluations[-1] if state.evaluations else None
     done, needed = state.solved_in_a_row, state.solved_needed
     dots = "●" * done + "○" * (needed - done) if 0 <= done <= needed <= 10 else ""
     return spaced(
-        (f"solved {done}/{needed} in a row", "bold"),
+        (f"solved {row_so_far(state)}", "bold"),
         (dots, "green"),
-        (f"success {percent(last.success_rate)}" if last else "no evaluation yet", ""),
+        (f"success {success(last)}" if last else "no evaluation yet", ""),
         (f"evaluation {last.job} at {count(last.interactions)} interactions" if last else "", ""),
     )
 
@@ -128,11 +152,11 @@ def evaluation(state: DashboardState, width: int, height: int) -> RenderableType
     lengths = [row.mean_length for row in state.evaluations]
     longest = max((v for v in lengths if math.isfinite(v)), default=0.0)
     result = f"length {last.mean_length:.1f} ± {last.std_length:.1f}  return {last.mean_return:.1f}"
-    success = [row.success_rate for row in state.evaluations]
+    rates = [row.success_rate for row in state.evaluations]
     return Group(
         path_text(state, width),
         _distance_line(state, width),
-        *_chart(("success", percent(last.success_rate), "to 100%"), success, width, chart, 1.0, "green"),
+        *_chart(("success", percent(last.success_rate), "to 100%"), rates, width, chart, 1.0, "green"),
         *gap,
         *_chart(("length", f"{last.mean_length:.1f}", f"to {longest:.1f}"), lengths, width, chart, longest, "cyan"),
         line(result),

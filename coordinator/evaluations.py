@@ -10,6 +10,7 @@ import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
+from t4nmtd_dist.action_modes import ActionMode, modes_to_play
 from t4nmtd_dist.config import EvaluationConfig
 from t4nmtd_dist.high_level import QEntries
 from t4nmtd_dist.runs.state_tree import State
@@ -34,18 +35,39 @@ class PolicySnapshot:
     weights: Mapping[str, Mapping[str, NDArray[Any]]]
 
 
+@dataclass(frozen=True)
+class EvaluatedPolicy:
+    """A policy and what its evaluation came to."""
+
+    snapshot: PolicySnapshot
+    row: EvaluationRow
+
+    def state(self) -> State:
+        """Everything, for a checkpoint; the weights are the very arrays that are held."""
+        snapshot = {each.name: getattr(self.snapshot, each.name) for each in fields(self.snapshot)}
+        return {"snapshot": snapshot, "row": msgspec.to_builtins(self.row)}
+
+    @staticmethod
+    def of(state: State) -> EvaluatedPolicy:
+        """What a ``state`` is of."""
+        snapshot = dict(state["snapshot"])
+        snapshot["q_table"] = [(q, pid, value) for q, pid, value in snapshot["q_table"]]
+        return EvaluatedPolicy(PolicySnapshot(**snapshot), msgspec.convert(state["row"], EvaluationRow))
+
+
 @dataclass
 class EvaluationSchedule:
-    """Hands out evaluations on fresh weights and counts how many in a row were perfect.
+    """Hands out evaluations on fresh weights, counts how many in a row succeeded, and keeps the best policy.
 
     Attributes:
+        best: the policy of the highest success rate so far, the newest among equals.
         processor_s: processor time of all evaluations.
     """
 
     config: EvaluationConfig
     history: list[EvaluationRow] = field(default_factory=list)
     pending: PolicySnapshot | None = None
-    last: PolicySnapshot | None = None
+    best: EvaluatedPolicy | None = None
     processor_s: float = 0.0
     _jobs: int = 0
     _handed_at: int = 0
@@ -54,10 +76,9 @@ class EvaluationSchedule:
 
     def state(self) -> State:
         """Everything but an evaluation that is under way, which nobody will report after a resume."""
-        last = self.last
         return {
             "history": msgspec.to_builtins(self.history),
-            "last": None if last is None else {each.name: getattr(last, each.name) for each in fields(last)},
+            "best": None if self.best is None else self.best.state(),
             "processor_s": self.processor_s,
             "jobs": self._jobs,
             "handed_at": self._handed_at,
@@ -68,10 +89,10 @@ class EvaluationSchedule:
     def load_state(self, state: State) -> None:
         """Go on from a ``state``."""
         self.history = msgspec.convert(state["history"], list[EvaluationRow])
-        self.pending, last = None, state["last"]
-        if last is not None:
-            q_table = [(q, pid, value) for q, pid, value in last["q_table"]]
-            self.last = PolicySnapshot(**{**last, "q_table": q_table})
+        self.pending, best = None, state.get("best")
+        if state.get("last") is not None and state["history"]:  # as older checkpoints have it
+            best = {"snapshot": state["last"], "row": state["history"][-1]}
+        self.best = None if best is None else EvaluatedPolicy.of(best)
         self.processor_s = state["processor_s"]
         self._jobs, self._handed_at, self._row_from = state["jobs"], state["handed_at"], state["row_from"]
         self._handed_versions = state["handed_versions"]
@@ -120,34 +141,47 @@ class EvaluationSchedule:
         """Record a result; None if it is not the one waited for."""
         if self.pending is None or report.job != self.pending.job:
             return None
-        self.last, self.pending = self.pending, None
+        snapshot, self.pending = self.pending, None
         self.processor_s += report.processor_s
         row = EvaluationRow(
             job=report.job,
-            interactions=self.last.interactions,
+            interactions=snapshot.interactions,
             elapsed_s=elapsed_s,
             success_rate=report.success_rate,
             mean_length=report.mean_length,
             std_length=report.std_length,
             mean_return=report.mean_return,
             dfa_path=report.dfa_path,
+            actions=report.actions,
+            other_success_rate=report.other_success_rate,
         )
         self.history.append(row)
+        self.consider(EvaluatedPolicy(snapshot, row))
         return row
+
+    def consider(self, evaluated: EvaluatedPolicy) -> None:
+        """Keep a policy as the best if none before it succeeded more often."""
+        if self.best is None or _rank(evaluated.row) >= _rank(self.best.row):
+            self.best = evaluated
+
+    @property
+    def modes(self) -> tuple[ActionMode, ...]:
+        """How the next evaluation is played; see ``modes_to_play``."""
+        return modes_to_play(self.config.actions, self.history[-1].actions if self.in_a_row else None)
 
     @property
     def in_a_row(self) -> int:
-        """Evaluations at 100 % since the last that was not."""
+        """The newest evaluations that reached the wanted success rate, all in the mode of the last one."""
         count = 0
         for row in reversed(self.history[self._row_from :]):
-            if not row.success_rate >= 1.0:  # a rate that is not a number is none
-                break
+            if row.actions != self.history[-1].actions or not row.success_rate >= self.config.success:
+                break  # a rate that is not a number is none
             count += 1
         return count
 
     @property
     def solved(self) -> bool:
-        """Whether enough evaluations in a row were perfect."""
+        """Whether enough evaluations in a row succeeded."""
         return self.in_a_row >= self.config.in_a_row
 
     @property
@@ -160,3 +194,8 @@ class EvaluationSchedule:
     def solved_at(self) -> int | None:
         """Interactions at the first of the evaluations that solved the task; None while unsolved."""
         return self.history[-self.config.in_a_row].interactions if self.solved else None
+
+
+def _rank(row: EvaluationRow) -> float:
+    """The success rate; one that is not a number is below all others."""
+    return -1.0 if np.isnan(row.success_rate) else row.success_rate

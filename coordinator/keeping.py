@@ -5,6 +5,7 @@ from __future__ import annotations
 import time
 from pathlib import Path
 
+from coordinator.kept_policy import keep_exported
 from coordinator.saved_state import load_saved_state, raise_counts, saved_counts, saved_state
 from coordinator.state import CoordinatorState
 from t4nmtd_dist.runs.background import BackgroundWriter
@@ -70,7 +71,7 @@ def go_on(state: CoordinatorState, checkpoints: Path, warn: Warn) -> str:
     Args:
         state: of the same task, seed and run.
         checkpoints: folder of the run's checkpoints.
-        warn: told of damaged checkpoints.
+        warn: told of damaged checkpoints and of a damaged policy.
     """
     about = {"run_id": state.settings.run_id, "place": COORDINATOR}
     found = newest_checkpoint(checkpoints / COORDINATOR, lambda told: told == about, warn)
@@ -79,5 +80,6 @@ def go_on(state: CoordinatorState, checkpoints: Path, warn: Warn) -> str:
     counts = read_counts(checkpoints)
     if counts is not None and counts.get("run_id") == state.settings.run_id:
         raise_counts(state, counts)
+    keep_exported(state, checkpoints.parent / "policy", warn)
     source = "no checkpoint: it had not kept one yet" if found is None else f"checkpoint {found.path.name}"
     return f"resumed after {state.interactions} interactions from {source}"

@@ -7,13 +7,13 @@ from contextlib import contextmanager
 
 from coordinator.events import Action, Finish, RecordEvaluation
 from coordinator.events import Tell as TellAction
+from coordinator.kept_policy import export_best
 from coordinator.scalars import evaluation_scalars, learner_scalars
 from coordinator.snapshot import summary
 from coordinator.state import CoordinatorState
 from t4nmtd_dist.errors import RunError
 from t4nmtd_dist.runs.directory import RunDirectory
 from t4nmtd_dist.runs.event_files import TensorBoard, open_event_files
-from t4nmtd_dist.runs.exported import export_policy
 from t4nmtd_dist.wire.messages import EvaluationRow
 from t4nmtd_dist.wire.notices import Notices, Tell
 
@@ -73,10 +73,15 @@ class Recorder:
                 "mean_length": row.mean_length,
                 "std_length": row.std_length,
                 "mean_return": row.mean_return,
+                "actions": row.actions,
+                "other_success_rate": row.other_success_rate,
             },
         )
         if self._event_files is not None:
             self._event_files.add("evaluations", row.interactions, evaluation_scalars(row))
+        best = self._state.evaluations.best
+        if best is not None and best.row is row:
+            export_best(self._state, self._run.path / "policy")
 
     def metrics(self) -> None:
         """Append every learner's counts, every few seconds."""
@@ -120,15 +125,7 @@ class Recorder:
         state = self._state
         self._metrics_due = 0.0
         self.metrics()
-        snapshot = state.evaluations.last
-        if snapshot is not None:
-            about = {
-                "interactions": snapshot.interactions,
-                "versions": snapshot.versions,
-                "seed": state.settings.seed,
-                "outcome": state.outcome,
-            }
-            export_policy(self._run.path / "policy", state.task, snapshot.q_table, snapshot.weights, about)
+        export_best(state, self._run.path / "policy")
         self._run.write_summary(summary(state))
         self._result_due = False
 

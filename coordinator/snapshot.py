@@ -45,6 +45,9 @@ def dashboard_state(state: CoordinatorState) -> DashboardState:
         evaluations=thinned(state.evaluations.history, EVALUATIONS_SHOWN),
         events=list(state.events),
         acceptance="end" if task.config.acceptance == "end" else "first",
+        success_needed=state.task.config.evaluation.success,
+        solved_at=state.evaluations.solved_at,
+        policy=_kept(state),
     )
 
 
@@ -68,7 +71,15 @@ def status(state: CoordinatorState, clock: float) -> Status:
         evaluator=evaluators[0].instance if evaluators else "",
         learners=[_learner_row(state, pid, record) for pid, record in state.records.items()],
         critics={lease.place: lease.endpoint for lease in state.leases.holders(state.now)},
+        success_needed=state.task.config.evaluation.success,
+        solved_at=state.evaluations.solved_at,
+        policy=_kept(state),
     )
+
+
+def _kept(state: CoordinatorState) -> EvaluationRow | None:
+    best = state.evaluations.best
+    return None if best is None else best.row
 
 
 def _finite(number: float) -> float | None:
@@ -134,6 +145,8 @@ def summary(state: CoordinatorState) -> dict[str, Any]:
         "interactions_total": state.interactions,
         "success_rate": last.success_rate if last else 0.0,
         "episode_length": last.mean_length if last else None,
+        "in_a_row": evaluations.config.in_a_row,
+        "policy": _policy_summary(_kept(state)),
         "evaluations": len(evaluations.history),
         "evaluations_processor_share": round(evaluations.share(state.learners_s), 4),
         "wall_s": round(state.elapsed_s, 3),
@@ -154,4 +167,16 @@ def summary(state: CoordinatorState) -> dict[str, Any]:
             }
             for pid, record in state.records.items()
         },
+    }
+
+
+def _policy_summary(row: EvaluationRow | None) -> dict[str, Any] | None:
+    """What is told of the policy that is kept."""
+    if row is None:
+        return None
+    return {
+        "interactions": row.interactions,
+        "success_rate": row.success_rate,
+        "actions": row.actions,
+        "job": row.job,
     }

@@ -31,6 +31,7 @@ from t4nmtd_dist.compiled import CompiledTask
 from t4nmtd_dist.errors import ProtocolError
 from t4nmtd_dist.initial_state_buffer import InitialStateBuffer
 from t4nmtd_dist.learners.actors import acting_parameters
+from t4nmtd_dist.runs.report import solved_text
 from t4nmtd_dist.wire.codec import with_prefix, without_prefix
 from t4nmtd_dist.wire.limits import most_starts
 from t4nmtd_dist.wire.messages import (
@@ -338,6 +339,7 @@ class CoordinatorState:
             interactions=snapshot.interactions,
             q_table=snapshot.q_table,
             versions=snapshot.versions,
+            actions=self.evaluations.modes,
         )
         arrays = {f"{pid}/weights.{name}": array for pid, named in weights.items() for name, array in named.items()}
         return [Send(peer, job, arrays, answers)]
@@ -357,7 +359,9 @@ class CoordinatorState:
             return []
         told: list[Action] = [RecordEvaluation(row)]
         if self.evaluations.solved:
-            return told + self._finish("solved", f"after {self.evaluations.solved_at} interactions")
+            first, needed = self.evaluations.solved_at or 0, self.evaluations.config.in_a_row
+            reason = solved_text(first, self.interactions, needed).removeprefix("solved ")
+            return told + self._finish("solved", reason)
         return told
 
     # The end

@@ -5,8 +5,6 @@ from __future__ import annotations
 from typing import Any
 
 import gymnasium
-import minigrid  # registers the environments
-import numpy as np
 from minigrid.core.grid import Grid
 from minigrid.core.world_object import Key
 
@@ -29,7 +27,9 @@ class Labelled(gymnasium.Wrapper[Any, Any, Any, Any]):
         return observation, float(reward), terminated, False, {**info, "labels": {k for k, v in found.items() if v}}
 
     def _door_is_open(self) -> bool:
-        return any(thing is not None and thing.type == "door" and thing.is_open for thing in self.env.unwrapped.grid.grid)
+        return any(
+            thing is not None and thing.type == "door" and thing.is_open for thing in self.env.unwrapped.grid.grid
+        )
 
     def get_state(self) -> Any:
         """The grid as numbers, and what is not in it."""

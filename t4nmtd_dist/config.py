@@ -17,6 +17,7 @@ from typing import Any, Literal
 
 import msgspec
 
+from t4nmtd_dist.action_modes import EvaluationActions
 from t4nmtd_dist.errors import ConfigError
 
 Shaping = Literal["paper", "potential", "subtask"]
@@ -183,11 +184,23 @@ class SACConfig:
 
 @dataclass(frozen=True)
 class EvaluationConfig:
-    """When the global policy is evaluated and when the task counts as solved."""
+    """When the global policy is evaluated and when the task counts as solved.
+
+    Attributes:
+        episodes: episodes of an evaluation.
+        every: interactions between two evaluations.
+        in_a_row: how many successful evaluations in a row solve the task.
+        success: success rate from which on an evaluation counts towards those in a row.
+        actions: ``greedy`` (the most likely ones), ``sampled``, or ``best``: greedy ones, and sampled ones where those
+            fall short of ``success``; the better of the two is reported, and what is exported acts in that way. All
+            evaluations of a row are of one mode.
+    """
 
     episodes: int = 20
     every: int = 5000
     in_a_row: int = 5
+    success: float = 1.0
+    actions: EvaluationActions = "best"
 
 
 @dataclass(frozen=True)
@@ -282,6 +295,8 @@ def _check_ranges(task: TaskConfig) -> None:
     for key, share in shares.items():
         if not 0 <= share <= 1:
             raise ConfigError(f"{key} = {share}: expected a number from 0 to 1")
+    if not 0 < task.evaluation.success <= 1:
+        raise ConfigError(f"evaluation.success = {task.evaluation.success}: expected a number above 0 and at most 1")
     _check_hidden(task.learner.hidden)
     _check_replay(task.sac)
     _check_groups(task)

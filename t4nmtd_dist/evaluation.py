@@ -1,4 +1,4 @@
-"""Evaluation of the global policy: deterministic episodes from the true reset, neither training nor selecting."""
+"""Evaluation of the global policy: greedy or sampled episodes from the true reset, neither training nor selecting."""
 
 from __future__ import annotations
 
@@ -8,6 +8,7 @@ import gymnasium as gym
 import numpy as np
 from numpy.typing import NDArray
 
+from t4nmtd_dist.action_modes import ActionMode
 from t4nmtd_dist.errors import WorldError
 from t4nmtd_dist.policy import GlobalPolicy
 from t4nmtd_dist.product import LetterReader
@@ -50,7 +51,7 @@ class Evaluator:
     Args:
         policy: any policy of the task (for its settings and automaton).
         episodes: episodes per evaluation, all stepped together.
-        seed: of the environment's resets and of perturbations.
+        seed: of the environment's resets, of perturbations and of sampled actions.
     """
 
     def __init__(self, policy: GlobalPolicy, episodes: int, *, seed: int) -> None:
@@ -58,15 +59,17 @@ class Evaluator:
         self._reader = LetterReader(policy.dfa, self._world.propositions)
         self._horizon = policy.config.environment.horizon
         self._rng = np.random.default_rng([seed, 3])
+        self._sampling = np.random.default_rng([seed, 4])
         self._seeded = False
 
-    def run(self, policy: GlobalPolicy, *, perturb: int = 0) -> EvaluationResult:
+    def run(self, policy: GlobalPolicy, *, perturb: int = 0, actions: ActionMode | None = None) -> EvaluationResult:
         """One evaluation: every episode from the true reset with a fresh step counter.
 
         Args:
             policy: what acts.
             perturb: each episode begins with k random actions, k uniform in 0..perturb. Actions that end the episode
                 by themselves are drawn again, and k too, so that where chance is deadly k is smaller on the whole.
+            actions: ``greedy`` or ``sampled``; None for the policy's own mode.
 
         Raises:
             PolicyError: if the policy learned from observations of another size than the world's.
@@ -76,16 +79,20 @@ class Evaluator:
             observations, q, redrawn = self._perturbed_starts(policy, perturb)
         else:
             observations, q, redrawn = self._reset(), np.full(len(rows), policy.dfa.initial, np.int32), 0
-        return self._episodes(policy, observations, q, redrawn)
+        sampling = self._sampling if (actions or policy.mode) == "sampled" else None
+        return self._episodes(policy, observations, q, redrawn, sampling)
 
     def state(self) -> State:
-        """What decides the starts of the next evaluations, for a checkpoint."""
+        """What decides the starts and the sampled actions of the next evaluations, for a checkpoint."""
         world = self._world.state() if self._seeded else None
-        return {"rng": self._rng.bit_generator.state, "seeded": self._seeded, "world": world}
+        generators = {"rng": self._rng.bit_generator.state, "sampling": self._sampling.bit_generator.state}
+        return {**generators, "seeded": self._seeded, "world": world}
 
     def load_state(self, state: State) -> None:
         """Go on from a ``state`` of an evaluator of the same task with as many episodes."""
         self._rng.bit_generator.state, self._seeded = state["rng"], state["seeded"]
+        if "sampling" in state:  # older checkpoints have none
+            self._sampling.bit_generator.state = state["sampling"]
         if self._seeded:
             self._world.load_state(state["world"])
 
@@ -95,7 +102,12 @@ class Evaluator:
         return self._world.reset(np.arange(self._world.count), seed)
 
     def _episodes(
-        self, policy: GlobalPolicy, observations: Observations, q: NDArray[np.int32], redrawn: int
+        self,
+        policy: GlobalPolicy,
+        observations: Observations,
+        q: NDArray[np.int32],
+        redrawn: int,
+        sampling: np.random.Generator | None,
     ) -> EvaluationResult:
         policy.check_fits(observations)
         count = len(q)
@@ -104,7 +116,7 @@ class Evaluator:
         lengths, returns = np.zeros(count, np.int64), np.zeros(count)
         path = [int(q[0])]
         for _ in range(self._horizon):
-            actions, known = policy.actions(observations, q)
+            actions, known = policy.actions(observations, q, sampling)
             over |= ~known
             if over.all():
                 break

@@ -5,16 +5,14 @@ An exported policy is a folder: ``policy.json`` (format version, task, DFA, Q, s
 
 from __future__ import annotations
 
-import json
 from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from safetensors import SafetensorError
-from safetensors.numpy import load_file
 
+from t4nmtd_dist.action_modes import ActionMode, action_mode
 from t4nmtd_dist.automata.acceptance import LAST
 from t4nmtd_dist.automata.dfa import DFA
 from t4nmtd_dist.config import TaskConfig, task_config
@@ -23,7 +21,8 @@ from t4nmtd_dist.errors import ConfigError, PolicyError
 from t4nmtd_dist.high_level import QEntries
 from t4nmtd_dist.learners.actors import Actions, make_actor
 from t4nmtd_dist.learners.networks import product_state
-from t4nmtd_dist.runs.exported import ACTORS_FILE, POLICY_FILE, POLICY_FORMAT
+from t4nmtd_dist.one_thread import one_torch_thread
+from t4nmtd_dist.runs.exported import ACTORS_FILE, POLICY_FILE, POLICY_FORMAT, read_export
 from t4nmtd_dist.timed_world import remaining_share
 from t4nmtd_dist.worlds import Observations
 
@@ -31,7 +30,7 @@ ActorWeights = Mapping[str, Mapping[str, NDArray[Any]]]
 
 
 class GlobalPolicy:
-    """Deterministic actors, one per sub-task, and which one acts in which DFA state.
+    """Actors, one per sub-task, and which one acts in which DFA state.
 
     Args:
         config: the task.
@@ -40,6 +39,14 @@ class GlobalPolicy:
         q_table: known entries of Q(q, T).
         actors: by pid, parameters named ``actor.*`` (others are ignored).
         rho: potentials [Q], for the validation return.
+        mode: how ``act`` picks actions unless told otherwise: the most likely ones, or sampled ones.
+        seed: of sampled actions; None for one from the operating system.
+
+    Attributes:
+        mode: as above; an exported policy has the mode in which it was evaluated best.
+
+    Raises:
+        PolicyError: if the actors' parameters are missing or do not fit, or there is no such mode.
     """
 
     def __init__(
@@ -50,6 +57,9 @@ class GlobalPolicy:
         q_table: QEntries,
         actors: ActorWeights,
         rho: NDArray[np.float64],
+        *,
+        mode: str = "greedy",
+        seed: int | None = None,
     ) -> None:
         self.config, self.dfa, self.decomposition, self.q_table, self.rho = (
             config,
@@ -60,6 +70,8 @@ class GlobalPolicy:
         )
         self._actors = {pid: make_actor(config.learner, weights) for pid, weights in actors.items()}
         self.subtask_of = self._choices()
+        self.mode: ActionMode = action_mode(mode)
+        self._rng = np.random.default_rng(seed)
         self._q = dfa.initial
         self._first = True
         self._steps = 0
@@ -79,12 +91,25 @@ class GlobalPolicy:
                 chosen[q] = max(able, key=lambda pid: known.get((q, pid), -np.inf))
         return chosen
 
-    def actions(self, observations: Observations, q: NDArray[np.int32]) -> tuple[Actions, NDArray[np.bool_]]:
-        """Greedy actions at product states, and for which of them a sub-task has an actor.
+    def actions(
+        self, observations: Observations, q: NDArray[np.int32], rng: np.random.Generator | None = None
+    ) -> tuple[Actions, NDArray[np.bool_]]:
+        """Actions at product states, and for which of them a sub-task has an actor. torch computes with one thread.
+
+        Args:
+            observations: float32 [N, d].
+            q: DFA states [N].
+            rng: samples the actions; without it they are greedy.
 
         Returns:
             int64 [N] or float32 [N, A], any valid action where there is no actor; bool [N].
         """
+        with one_torch_thread():
+            return self._actions(observations, q, rng)
+
+    def _actions(
+        self, observations: Observations, q: NDArray[np.int32], rng: np.random.Generator | None
+    ) -> tuple[Actions, NDArray[np.bool_]]:
         known = np.zeros(len(q), np.bool_)
         actions: Actions | None = None
         for state in np.unique(q):
@@ -92,22 +117,35 @@ class GlobalPolicy:
             if pid is None:
                 continue
             rows = q == state
-            found = self._actors[pid].act(product_state(observations[rows], q[rows], self.dfa.states))
+            found = self._actors[pid].act(product_state(observations[rows], q[rows], self.dfa.states), rng)
             if actions is None:
                 actions = np.zeros((len(q), *found.shape[1:]), found.dtype)
             actions[rows], known[rows] = found, True
         return (np.zeros(len(q), np.int64) if actions is None else actions), known
 
-    def reset(self) -> None:
-        """Begin an episode: the DFA is in its initial state."""
+    def reset(self, seed: int | None = None) -> None:
+        """Begin an episode: the DFA is in its initial state.
+
+        Args:
+            seed: of the actions sampled from now on; None lets the policy's generator draw on.
+        """
         self._q, self._first, self._steps = self.dfa.initial, True, 0
+        if seed is not None:
+            self._rng = np.random.default_rng(seed)
 
     @property
     def state(self) -> int:
         """The DFA state now."""
         return self._q
 
-    def act(self, observation: NDArray[Any], labels: Iterable[str]) -> Any:
+    def act(
+        self,
+        observation: NDArray[Any],
+        labels: Iterable[str],
+        *,
+        actions: ActionMode | None = None,
+        rng: np.random.Generator | None = None,
+    ) -> Any:
         """The action at one observation, after reading the labels that came with it: a number, or an array [A].
 
         The labels of the first observation after ``reset`` are not read: a trace begins with the first step.
@@ -116,21 +154,24 @@ class GlobalPolicy:
             observation: numbers, as the environment gives them: of a Box of any shape. Observations that are Discrete
                 or a Dict go through ``environments.observations.flattener`` first.
             labels: names of the true propositions.
+            actions: ``greedy`` or ``sampled``; None for the policy's own mode.
+            rng: what sampled actions are drawn with; None for the policy's own generator.
 
         Raises:
-            PolicyError: if the DFA is in a state for which nothing was learned, or the observation is too long or
-                too short.
+            PolicyError: if the DFA is in a state for which nothing was learned, the observation is too long or too
+                short, or there is no such mode.
         """
+        sampling = (self.mode if actions is None else action_mode(actions)) == "sampled"
         if not self._first:
             self._q = self._after(labels)
             self._steps += 1
         self._first = False
         row = self._row(observation)
-        actions, known = self.actions(row, np.array([self._q], np.int32))
+        found, known = self.actions(row, np.array([self._q], np.int32), (rng or self._rng) if sampling else None)
         if not known[0]:
             kind = "accepting" if self._q in self.dfa.accepting else "one for which nothing was learned"
             raise PolicyError(f"no action at DFA state {self._q}: it is {kind}; call reset() to begin an episode")
-        return actions[0]
+        return found[0]
 
     def accepts(self, labels: Iterable[str], *, ended: bool = False) -> bool:
         """Whether the task is solved after the step that followed the last action.
@@ -178,18 +219,17 @@ class GlobalPolicy:
             )
 
 
-def load(path: str | Path) -> GlobalPolicy:
+def load(path: str | Path, *, seed: int | None = None) -> GlobalPolicy:
     """Load an exported policy, from its folder or from a run directory.
+
+    Args:
+        path: the folder or the run directory.
+        seed: of sampled actions; None for one from the operating system.
 
     Raises:
         PolicyError: if there is no policy, it is damaged, or of another format version.
     """
-    folder = _policy_folder(Path(path))
-    try:
-        data = json.loads((folder / POLICY_FILE).read_text(encoding="utf-8"))
-        arrays = load_file(folder / ACTORS_FILE)
-    except (OSError, ValueError, SafetensorError) as error:
-        raise PolicyError(f"cannot read the policy in {folder}: {error}") from None
+    folder, data, arrays = _read(Path(path))
     found = data.get("format") if isinstance(data, dict) else None
     if found != POLICY_FORMAT:
         raise PolicyError(f"{folder}: policy format {found!r}; this program reads {POLICY_FORMAT}")
@@ -198,12 +238,12 @@ def load(path: str | Path) -> GlobalPolicy:
         pid, _, name = key.partition("/")
         actors.setdefault(pid, {})[name] = array
     try:
-        return _restored(data, actors, folder)
+        return _restored(data, actors, folder, seed)
     except (ConfigError, LookupError, TypeError, ValueError) as error:
         raise PolicyError(f"the policy in {folder} is damaged ({type(error).__name__}: {error})") from None
 
 
-def _restored(data: Mapping[str, Any], actors: ActorWeights, folder: Path) -> GlobalPolicy:
+def _restored(data: Mapping[str, Any], actors: ActorWeights, folder: Path, seed: int | None) -> GlobalPolicy:
     return GlobalPolicy(
         task_config(data["task"], source=str(folder)),
         DFA.from_json(data["dfa"]),
@@ -211,11 +251,19 @@ def _restored(data: Mapping[str, Any], actors: ActorWeights, folder: Path) -> Gl
         [(q, pid, value) for q, pid, value in data["q_table"]],
         actors,
         np.array(data["rho"], np.float64).reshape(int(data["dfa"]["states"])),
+        mode=data.get("actions", "greedy"),
+        seed=seed,
     )
 
 
-def _policy_folder(path: Path) -> Path:
-    for folder in (path, path / "policy"):
-        if (folder / POLICY_FILE).is_file():
-            return folder
-    raise PolicyError(f"no policy in {path}; expected {POLICY_FILE} there or in {path / 'policy'}")
+def _read(path: Path) -> tuple[Path, Any, dict[str, NDArray[Any]]]:
+    """The export in ``path`` or in ``policy`` below it."""
+    try:
+        return read_export(path, path / "policy")
+    except FileNotFoundError:
+        raise PolicyError(
+            f"no policy in {path}; expected {POLICY_FILE} and {ACTORS_FILE} there or in {path / 'policy'}, where a run "
+            "exports its best policy after its first evaluation"
+        ) from None
+    except (OSError, ValueError) as error:
+        raise PolicyError(f"cannot read the policy in {path}: {error}") from None

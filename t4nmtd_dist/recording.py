@@ -57,7 +57,12 @@ def open_for_recording(policy: GlobalPolicy) -> EnvironmentCopy:
 
 
 def play(policy: GlobalPolicy, copy: EnvironmentCopy, seed: int) -> Iterator[Moment]:
-    """One deterministic episode from the environment's own reset.
+    """One episode from the environment's own reset, with actions in the policy's own mode.
+
+    Args:
+        policy: what acts.
+        copy: the environment, as ``open_for_recording`` opens it.
+        seed: of the reset and of sampled actions.
 
     Raises:
         WorldError: if the environment draws no pictures.
@@ -65,6 +70,7 @@ def play(policy: GlobalPolicy, copy: EnvironmentCopy, seed: int) -> Iterator[Mom
     """
     observation, q, labels, ended = copy.reset(seed), policy.dfa.initial, frozenset[str](), ""
     horizon, timed = policy.config.environment.horizon, LAST in policy.dfa.propositions
+    sampling = np.random.default_rng([seed, 4]) if policy.mode == "sampled" else None
     for step in range(horizon + 1):
         seen = observation[None]
         if timed:
@@ -74,7 +80,7 @@ def play(policy: GlobalPolicy, copy: EnvironmentCopy, seed: int) -> Iterator[Mom
         yield Moment(_frame(copy), labels, q, None if ended else policy.subtask_of[q], step, ended)
         if ended:
             return
-        done = copy.step(policy.actions(seen, np.array([q], np.int32))[0][0])
+        done = copy.step(policy.actions(seen, np.array([q], np.int32), sampling)[0][0])
         labels = frozenset(name for name, holds in zip(copy.propositions, done.labels, strict=True) if holds)
         over = ends_episode(step + 1, horizon, terminated=done.terminated, truncated=done.truncated)
         observation, q = done.observation, policy.dfa.step(q, {*labels, LAST} if over else labels)

@@ -7,8 +7,9 @@ from typing import Any
 import numpy as np
 import pytest
 from coordinator_events import Conversation, of
+from numpy.typing import NDArray
 
-from coordinator.events import Finish, RecordEvaluation, Send
+from coordinator.events import Finish, RecordEvaluation, Send, Tell
 from coordinator.snapshot import summary
 from t4nmtd_dist.wire.messages import (
     Claim,
@@ -33,16 +34,22 @@ class Evaluated(Conversation):
     def train(self, steps: int, *, fresh: bool = True, processor_s: float = 0.0) -> None:
         self.steps += steps
         self.weights_version += fresh
-        arrays = {"weights.actor.0.weight": np.full(1, self.weights_version, np.float32)} if fresh else {}
+        arrays = self.weights() if fresh else {}
         stats = LearnerStats(phase="training", interactions=self.steps, processor_s=processor_s)
         self.sync("p1", "w", sequence=self.steps, version=self.weights_version, stats=stats, arrays=arrays)
+
+    def weights(self) -> dict[str, NDArray[np.float32]]:
+        """Weights of the newest version."""
+        return {"weights.actor.0.weight": np.full(1, self.weights_version, np.float32)}
 
     def poll(self) -> EvaluationJob:
         job = self.answer("e", EvaluationPoll(epoch=self.epoch))
         assert isinstance(job, EvaluationJob)
         return job
 
-    def report(self, job: int, success: float, length: float = 20.0, processor_s: float = 0.0) -> list[Any]:
+    def report(
+        self, job: int, success: float, length: float = 20.0, processor_s: float = 0.0, **fields: Any
+    ) -> list[Any]:
         report = EvaluationReport(
             epoch=self.epoch,
             job=job,
@@ -53,12 +60,13 @@ class Evaluated(Conversation):
             episodes=20,
             dfa_path=[0],
             processor_s=processor_s,
+            **fields,
         )
         return self.send("e", report)
 
-    def evaluate(self, success: float, length: float = 20.0) -> list[Any]:
+    def evaluate(self, success: float, length: float = 20.0, **fields: Any) -> list[Any]:
         self.train(100)
-        return self.report(self.poll().job, success, length)
+        return self.report(self.poll().job, success, length, **fields)
 
 
 def test_an_evaluation_is_due_only_after_enough_interactions_on_fresh_weights() -> None:
@@ -124,8 +132,8 @@ def test_solved_after_five_perfect_evaluations_in_a_row_and_dated_at_the_first()
     assert finish.outcome == "solved"
     assert talk.state.evaluations.solved_at == 600
     assert talk.state.evaluations.converged
-    assert talk.state.evaluations.last is not None
-    assert talk.state.evaluations.last.interactions == 1000
+    assert talk.state.evaluations.best is not None
+    assert talk.state.evaluations.best.snapshot.interactions == 1000
 
 
 def test_solved_with_lengths_that_spread_is_not_converged() -> None:
@@ -186,3 +194,129 @@ def test_of_learners_weights_an_evaluation_gets_those_of_the_actor_that_acts() -
     talk.sync("p1", "w", sequence=1, version=1, stats=stats, arrays=many)
     (sent,) = of(Send, talk.send("e", EvaluationPoll(epoch=talk.epoch)))
     assert set(sent.arrays) == {f"p1/weights.actor.{layer}.weight" for layer in range(3)}
+
+
+# Which actions are played
+
+
+BEST = "evaluation.actions=best"
+
+
+def test_a_job_says_which_actions_to_play() -> None:
+    for setting, modes in (("greedy", ("greedy",)), ("sampled", ("sampled",)), ("best", ("greedy", "sampled"))):
+        talk = Evaluated(f"evaluation.actions={setting}")
+        talk.train(100)
+        assert talk.poll().actions == modes
+
+
+def test_an_evaluation_remembers_its_mode_and_the_other_modes_success() -> None:
+    talk = Evaluated(BEST)
+    talk.evaluate(0.9, actions="sampled", other_success_rate=0.7)
+    (row,) = talk.state.evaluations.history
+    assert (row.actions, row.success_rate, row.other_success_rate) == ("sampled", 0.9, 0.7)
+
+
+def test_a_row_is_of_one_mode() -> None:
+    """A greedily perfect evaluation does not lengthen a row of sampled ones."""
+    talk = Evaluated(BEST)
+    for mode, count in (("sampled", 1), ("sampled", 2), ("greedy", 1), ("greedy", 2), ("sampled", 1)):
+        talk.evaluate(1.0, actions=mode)
+        assert talk.state.evaluations.in_a_row == count
+    for _ in range(3):
+        assert of(Finish, talk.evaluate(1.0, actions="sampled")) == []
+    assert [finish.outcome for finish in of(Finish, talk.evaluate(1.0, actions="sampled"))] == ["solved"]
+    assert talk.state.evaluations.solved_at == 500
+
+
+def test_the_mode_of_a_row_is_played_first_as_long_as_the_row_lasts() -> None:
+    talk = Evaluated(BEST)
+    talk.evaluate(1.0, actions="sampled", other_success_rate=0.5)
+    talk.train(100)
+    job = talk.poll()
+    assert job.actions == ("sampled", "greedy")
+    talk.report(job.job, 0.9, actions="greedy", other_success_rate=0.8)
+    talk.train(100)
+    assert talk.poll().actions == ("greedy", "sampled")
+
+
+# What counts
+
+
+def test_an_evaluation_counts_from_the_threshold_on() -> None:
+    talk = Evaluated("evaluation.success=0.9")
+    for success, count in ((0.9, 1), (0.95, 2), (0.89, 0), (1.0, 1), (float("nan"), 0)):
+        talk.evaluate(success)
+        assert talk.state.evaluations.in_a_row == count
+    for _ in range(4):
+        talk.evaluate(0.9)
+    assert [finish.outcome for finish in of(Finish, talk.evaluate(0.9))] == ["solved"]
+
+
+# The policy that is kept
+
+
+def kept(talk: Evaluated) -> tuple[int, float]:
+    best = talk.state.evaluations.best
+    assert best is not None
+    assert best.snapshot.job == best.row.job
+    assert best.snapshot.weights["p1"]["actor.0.weight"].tolist() == [best.snapshot.versions["p1"]]
+    return best.row.job, best.row.success_rate
+
+
+def test_the_best_policy_is_kept_and_the_newest_among_equals() -> None:
+    talk = Evaluated()
+    assert talk.state.evaluations.best is None
+    for success, job in ((float("nan"), 1), (0.0, 2), (0.5, 3), (0.4, 3), (0.5, 5), (float("nan"), 5), (0.6, 7)):
+        talk.evaluate(success)
+        assert kept(talk)[0] == job
+
+
+def test_the_policy_of_a_solved_run_is_that_of_the_fifth() -> None:
+    talk = Evaluated()
+    for _ in range(5):
+        talk.evaluate(1.0)
+    assert kept(talk) == (5, 1.0)
+
+
+def test_the_best_policy_survives_a_resume() -> None:
+    talk, resumed = Evaluated(), Evaluated()
+    talk.evaluate(0.5)
+    talk.evaluate(0.4)
+    resumed.state.evaluations.load_state(talk.state.evaluations.state())
+    assert kept(resumed) == (1, 0.5)
+
+
+def test_a_checkpoint_that_knows_only_the_last_policy_is_gone_on_from() -> None:
+    """As the program wrote them before it kept the best policy."""
+    talk, resumed = Evaluated(), Evaluated()
+    talk.evaluate(0.5)
+    state = talk.state.evaluations.state()
+    best = state.pop("best")
+    new = {"actions", "other_success_rate"}
+    state["history"] = [{name: row[name] for name in row.keys() - new} for row in state["history"]]
+    resumed.state.evaluations.load_state({**state, "last": best["snapshot"]})
+    assert kept(resumed) == (1, 0.5)
+    unevaluated = Evaluated()
+    unevaluated.state.evaluations.load_state({**state, "history": [], "last": None})
+    assert unevaluated.state.evaluations.best is None
+
+
+# What is reported
+
+
+def test_the_summary_has_both_counts_and_the_policy_that_is_kept() -> None:
+    talk = Evaluated(BEST)
+    assert summary(talk.state)["policy"] is None
+    talk.evaluate(0.5)
+    talk.evaluate(0.75, actions="sampled", other_success_rate=0.25)
+    talk.evaluate(0.25)
+    told = summary(talk.state)
+    assert told["policy"] == {"interactions": 200, "success_rate": 0.75, "actions": "sampled", "job": 2}
+    assert (told["interactions"], told["interactions_total"], told["success_rate"]) == (300, 300, 0.25)
+    for _ in range(5):
+        actions = talk.evaluate(1.0)
+    told = summary(talk.state)
+    assert (told["interactions"], told["interactions_total"]) == (400, 800)
+    assert "solved: after 400 interactions (the first of 5 evaluations in a row), 800 in all" in [
+        tell.text for tell in of(Tell, actions)
+    ]

@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 from small_tasks import own_task
 
+from t4nmtd_dist.action_modes import ActionMode
 from t4nmtd_dist.cli import record as command
 from t4nmtd_dist.cli.record import record
 from t4nmtd_dist.compiled import compile_task
@@ -38,7 +39,9 @@ hidden = [2]
 """
 
 
-def exported(folder: Path, text: str = CORRIDOR, bias: tuple[float, float] = (1.0, 0.0)) -> Path:
+def exported(
+    folder: Path, text: str = CORRIDOR, bias: tuple[float, float] = (1.0, 0.0), mode: ActionMode = "greedy"
+) -> Path:
     """A policy that always goes left (or right, by ``bias``)."""
     task = compile_task(load_task(str(own_task(folder, text))), translator="python")
     width = 7 + task.dfa.states
@@ -48,7 +51,7 @@ def exported(folder: Path, text: str = CORRIDOR, bias: tuple[float, float] = (1.
         "actor.2.weight": np.eye(2, dtype=np.float32),
         "actor.2.bias": np.zeros(2, np.float32),
     }
-    export_policy(folder / "policy", task, [], dict.fromkeys(task.decomposition.pids, weights), {})
+    export_policy(folder / "policy", task, [], dict.fromkeys(task.decomposition.pids, weights), {}, mode=mode)
     return folder / "policy"
 
 
@@ -78,6 +81,17 @@ def test_an_episode_tells_labels_state_and_subtask(tmp_path: Path) -> None:
     banners = {frame[-BANNER_HEIGHT:].tobytes() for frame in frames}
     assert len(banners) == len(moments), "every caption says something of its own"
     assert all(side % 2 == 0 for frame in frames for side in frame.shape[:2])
+
+
+def test_a_policy_that_was_evaluated_with_sampled_actions_is_filmed_so(tmp_path: Path) -> None:
+    text = CORRIDOR.replace(f"horizon = {HORIZON}", "horizon = 30").replace(" & G(!again)", "")
+    policy = load(exported(tmp_path, text, bias=(0.0, 0.1), mode="sampled"))
+    copy = open_for_recording(policy)
+
+    def places(seed: int) -> list[bytes]:
+        return [moment.frame.tobytes() for moment in play(policy, copy, seed)]
+
+    assert places(1) == places(1) != places(2), "greedily, every episode is alike: always to the right"
 
 
 def test_an_episode_that_takes_too_long_says_so(tmp_path: Path) -> None:

@@ -53,6 +53,15 @@ def test_flags_that_say_what_the_run_says_are_taken(tmp_path: Path) -> None:
     assert plan.identity == plan_run(RunOptions(resume=run)).identity
 
 
+def test_a_run_of_before_actions_could_be_sampled_goes_on_greedily(tmp_path: Path) -> None:
+    run = stopped_run(tmp_path)
+    path = run / "config.toml"
+    text = path.read_text(encoding="utf-8")
+    assert 'actions = "greedy"\n' in text
+    path.write_text(text.replace('actions = "greedy"\n', ""), encoding="utf-8")
+    assert plan_run(RunOptions(resume=run)).config.evaluation == load_task("task7").evaluation
+
+
 def test_settings_written_are_complete_and_read_back_the_same(tmp_path: Path) -> None:
     for name in ("task1", "task4", "task7"):
         run = RunDirectory(tmp_path / name)

@@ -8,6 +8,7 @@ from typing import Annotated, Literal
 
 import tyro
 
+from t4nmtd_dist.action_modes import ActionMode
 from t4nmtd_dist.cli.key_commands import Keys
 from t4nmtd_dist.cli.options import RunOptions
 from t4nmtd_dist.devices import Device
@@ -54,6 +55,8 @@ class Evaluate:
     """Seed of the environment's resets and of perturbations."""
     perturb: int = 0
     """Begin each episode with k random actions, k uniform from 0 to this."""
+    actions: ActionMode | None = None
+    """The most likely actions (greedy) or sampled ones; by default as the policy was evaluated when it was exported."""
     as_json: Annotated[bool, tyro.conf.arg(name="json")] = False
     """Print JSON instead of a sentence."""
 
@@ -62,7 +65,12 @@ class Evaluate:
         from t4nmtd_dist.cli.evaluate import evaluate
 
         return evaluate(
-            self.run_or_policy, episodes=self.episodes, seed=self.seed, perturb=self.perturb, as_json=self.as_json
+            self.run_or_policy,
+            episodes=self.episodes,
+            seed=self.seed,
+            perturb=self.perturb,
+            as_json=self.as_json,
+            actions=self.actions,
         )
 
 

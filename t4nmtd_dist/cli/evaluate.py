@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from t4nmtd_dist.action_modes import ActionMode
 from t4nmtd_dist.errors import ConfigError
 from t4nmtd_dist.evaluation import EvaluationResult, Evaluator
 from t4nmtd_dist.policy import load
@@ -15,16 +16,18 @@ from t4nmtd_dist.policy import load
 EPISODES_AT_ONCE = 50
 
 
-def evaluate(path: Path, *, episodes: int, seed: int, perturb: int, as_json: bool) -> int:
-    """Run episodes and print what they came to."""
+def evaluate(
+    path: Path, *, episodes: int, seed: int, perturb: int, as_json: bool, actions: ActionMode | None = None
+) -> int:
+    """Run episodes and print what they came to; without ``actions`` they are played as the export says."""
     if episodes < 1 or perturb < 0:
         raise ConfigError(f"expected at least one episode and --perturb of 0 or more; got {episodes} and {perturb}")
     policy = load(path)
     results: list[EvaluationResult] = []
     for first in range(0, episodes, EPISODES_AT_ONCE):
         evaluator = Evaluator(policy, min(EPISODES_AT_ONCE, episodes - first), seed=seed + first)
-        results.append(evaluator.run(policy, perturb=perturb))
-    found = _joined(results)
+        results.append(evaluator.run(policy, perturb=perturb, actions=actions))
+    found = {**_joined(results), "actions": actions or policy.mode}
     if as_json:
         print(json.dumps({"task": policy.config.name, **found}))
     else:
@@ -46,6 +49,7 @@ def _joined(results: list[EvaluationResult]) -> dict[str, Any]:
 def _print_sentence(task: str, found: dict[str, Any], perturb: int) -> None:
     starts = f" from starts perturbed by up to {perturb} random actions ({found['redrawn']} redrawn)" if perturb else ""
     print(
-        f"{task}: {found['success_rate']:.1%} of {found['episodes']} episodes succeeded{starts}; "
+        f"{task}: {found['success_rate']:.1%} of {found['episodes']} episodes succeeded with {found['actions']} actions"
+        f"{starts}; "
         f"mean length {found['mean_length']:.1f}, mean return {found['mean_return']:.1f}"
     )

@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import json
 import sys
+from collections.abc import Iterator
 from pathlib import Path
 
 import msgspec
 
 from t4nmtd_dist.errors import ProtocolError, RunError
+from t4nmtd_dist.runs.report import policy_text, row_text, solved_text
 from t4nmtd_dist.wire.inquiry import ask_status
 from t4nmtd_dist.wire.keys import load_client
 from t4nmtd_dist.wire.messages import LearnerRow, Status
@@ -55,11 +57,21 @@ def _page(status: Status) -> str:
     lines = [
         f"{status.task} seed {status.seed}: {status.phase} for {status.elapsed_s:.0f} s, "
         f"{status.interactions} of {status.max_interactions} interactions",
-        f"last evaluation: {success}, perfect in a row: {status.solved_in_a_row} of {status.solved_needed}",
+        f"last evaluation: {success}, {row_text(status.success_needed)}: "
+        f"{status.solved_in_a_row} of {status.solved_needed}",
+        *_result(status),
         *(_learner(row) for row in status.learners),
         f"evaluator: {status.evaluator or 'none'}",
     ]
     return "\n".join(lines)
+
+
+def _result(status: Status) -> Iterator[str]:
+    if status.solved_at is not None:
+        yield solved_text(status.solved_at, status.interactions, status.solved_needed)
+    if status.policy is not None:
+        best = status.policy
+        yield policy_text(best.success_rate, best.actions, best.interactions, Path(status.run_dir))
 
 
 def _learner(row: LearnerRow) -> str:

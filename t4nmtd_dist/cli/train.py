@@ -16,6 +16,7 @@ from t4nmtd_dist.errors import RunError
 from t4nmtd_dist.launch.ends import hear_ends
 from t4nmtd_dist.launch.local import LocalProcesses, dealt
 from t4nmtd_dist.runs.directory import RunDirectory, read_summary
+from t4nmtd_dist.runs.report import outcome_text
 from t4nmtd_dist.runs.resuming import write_identity
 from t4nmtd_dist.wire.keys import ClientKeys, load_client
 
@@ -139,8 +140,8 @@ def _watch(
 def _report(directory: Path) -> None:
     summary = read_summary(directory)
     print(
-        f"{summary['task']} seed {summary['seed']}: {summary['outcome']}; interactions {summary['interactions']}, "
-        f"success {summary['success_rate']:.0%}, {summary['wall_s']:.0f} s; run directory {directory}"
+        f"{summary['task']} seed {summary['seed']}: {outcome_text(summary, directory)}; {summary['wall_s']:.0f} s; "
+        f"run directory {directory}"
     )
 
 

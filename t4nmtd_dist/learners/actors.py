@@ -1,4 +1,4 @@
-"""Deterministic actors, rebuilt from exported weights: arg max of a categorical, or the mode of a squashed Gaussian."""
+"""Actors rebuilt from exported weights: a categorical or a squashed Gaussian; the mode or a sample is taken of it."""
 
 from __future__ import annotations
 
@@ -18,16 +18,21 @@ Actions = NDArray[Any]
 
 
 class Actor(Protocol):
-    """Acts greedily at product states."""
+    """Acts at product states."""
 
     inputs: int
 
-    def act(self, states: Tensor) -> Actions:
-        """Actions of product states [N, inputs]: int64 [N], or float32 [N, A] within the action space's bounds."""
+    def act(self, states: Tensor, rng: np.random.Generator | None = None) -> Actions:
+        """Actions of product states [N, inputs]: int64 [N], or float32 [N, A] within the action space's bounds.
+
+        Args:
+            states: product states.
+            rng: the actions are drawn from the policy's distribution with it; without it they are the most likely ones.
+        """
 
 
 class CategoricalActor:
-    """The actor of PPO: the most likely action."""
+    """The actor of PPO: the most likely action, or one drawn from the categorical."""
 
     def __init__(self, hidden: tuple[int, ...], weights: Weights) -> None:
         names = (name for name in weights if name.endswith(".weight"))
@@ -39,14 +44,17 @@ class CategoricalActor:
         load_weights(self._network, weights)
 
     @torch.no_grad()
-    def act(self, states: Tensor) -> Actions:
-        """See ``Actor.act``."""
-        actions: Actions = self._network(states).argmax(-1).numpy()
+    def act(self, states: Tensor, rng: np.random.Generator | None = None) -> Actions:
+        """See ``Actor.act``; sampling by the Gumbel trick."""
+        logits: Tensor = self._network(states)
+        if rng is None:
+            return logits.argmax(-1).numpy()
+        actions: Actions = np.argmax(logits.numpy() + rng.gumbel(size=logits.shape), axis=1)
         return actions
 
 
 class GaussianActor:
-    """The actor of SAC: the mode of its squashed Gaussian, scaled to the action space (``low``, ``high``)."""
+    """The actor of SAC: the mode or a sample of its squashed Gaussian, scaled to the actions (``low``, ``high``)."""
 
     def __init__(self, hidden: tuple[int, ...], weights: Weights) -> None:
         from t4nmtd_dist.learners.sac_networks import Stack, StackShape
@@ -63,14 +71,17 @@ class GaussianActor:
         self._stack.load(own)
 
     @torch.no_grad()
-    def act(self, states: Tensor) -> Actions:
+    def act(self, states: Tensor, rng: np.random.Generator | None = None) -> Actions:
         """See ``Actor.act``."""
         from t4nmtd_dist.learners.sac_networks import Activations, evaluate
-        from t4nmtd_dist.learners.squashed_gaussian import deterministic_actions
+        from t4nmtd_dist.learners.squashed_gaussian import deterministic_actions, squashed_sample
 
         room = Activations(self._stack.shape, len(states))
         outputs = evaluate(self._stack.layers, states, room)[0].numpy()
-        return scaled(deterministic_actions(outputs).T, self._low, self._high)
+        if rng is None:
+            return scaled(deterministic_actions(outputs).T, self._low, self._high)
+        noise = rng.standard_normal((len(self._low), len(states)), np.float32)
+        return scaled(squashed_sample(outputs, noise).actions.T, self._low, self._high)
 
 
 def scaled(actions: NDArray[np.float32], low: NDArray[np.float32], high: NDArray[np.float32]) -> NDArray[np.float32]:
@@ -86,7 +97,7 @@ def acting_parameters(weights: Mapping[str, NDArray[Any]]) -> Weights:
 
 
 def make_actor(config: LearnerConfig, weights: Mapping[str, NDArray[Any]]) -> Actor:
-    """The deterministic actor of a learner's, or of an exported policy's, parameters.
+    """The actor of a learner's, or of an exported policy's, parameters.
 
     Raises:
         PolicyError: if they are missing or do not fit.

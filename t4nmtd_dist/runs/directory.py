@@ -30,7 +30,7 @@ VERSIONS_FILE = "versions.json"
 EVENTS_FILE = "events.jsonl"
 ROUNDING_S = 0.001  # of times in the metrics
 FILES = {CONFIG_FILE, SUMMARY_FILE, ENDPOINTS_FILE, LOCK_FILE, VERSIONS_FILE, EVENTS_FILE}
-FOLDERS = {"metrics", "logs", "tensorboard", "policy", CHECKPOINTS_FOLDER}
+FOLDERS = {"metrics", "logs", "tensorboard", "policy", "policy.old", CHECKPOINTS_FOLDER}
 
 
 def default_run_directory(task: str, seed: int) -> Path:

@@ -84,6 +84,7 @@ def read_stopped_run(run: Path) -> StoppedRun:
     try:
         settings = read_toml(run / CONFIG_FILE)
         seed = settings.pop("seed")
+        settings.setdefault("evaluation", {}).setdefault("actions", "greedy")  # older runs knew nothing else
         config = task_config(settings, source=str(run / CONFIG_FILE))
         told = json.loads((run / CHECKPOINTS_FOLDER / IDENTITY_FILE).read_text(encoding="utf-8"))
         identity = msgspec.convert(told, Identity)

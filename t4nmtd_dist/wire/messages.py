@@ -10,6 +10,8 @@ from typing import Any, Literal
 
 import msgspec
 
+from t4nmtd_dist.action_modes import ActionMode
+
 PROTOCOL_VERSION = 1
 
 Role = Literal["learner", "evaluator"]
@@ -143,16 +145,24 @@ class EvaluationPoll(Message, frozen=True, tag="evaluation_poll"):
 
 
 class EvaluationJob(Message, frozen=True, tag="evaluation_job"):
-    """Coordinator -> evaluator. ``job`` 0: nothing to do yet. arrays: ``<pid>/weights.actor.*`` of every sub-task."""
+    """Coordinator -> evaluator. ``job`` 0: nothing to do yet. arrays: ``<pid>/weights.actor.*`` of every sub-task.
+
+    ``actions``: the modes to play. The first is played, another only where those before it fall short of
+    ``evaluation.success``.
+    """
 
     job: int
     interactions: int = 0
     q_table: list[tuple[int, str, float]] = []
     versions: dict[str, int] = {}
+    actions: tuple[ActionMode, ...] = ("greedy",)
 
 
 class EvaluationReport(Message, frozen=True, tag="evaluation_report"):
-    """Evaluator -> coordinator: what the episodes of one job came to."""
+    """Evaluator -> coordinator: what the episodes of one job came to.
+
+    All figures are of the mode ``actions``; ``other_success_rate`` is that of the other one where both were played.
+    """
 
     epoch: int
     job: int
@@ -163,6 +173,8 @@ class EvaluationReport(Message, frozen=True, tag="evaluation_report"):
     episodes: int
     dfa_path: list[int]
     processor_s: float = 0.0
+    actions: ActionMode = "greedy"
+    other_success_rate: float | None = None
 
 
 class Goodbye(Message, frozen=True, tag="goodbye"):
@@ -255,7 +267,10 @@ class QCell(Message, frozen=True):
 
 
 class EvaluationRow(Message, frozen=True):
-    """One evaluation; ``dfa_path`` is the sequence of DFA states of its first episode."""
+    """One evaluation; ``dfa_path`` is the sequence of DFA states of its first episode.
+
+    ``actions`` is the mode that it was played in; ``other_success_rate`` is of the other one, where both were played.
+    """
 
     job: int
     interactions: int
@@ -265,6 +280,8 @@ class EvaluationRow(Message, frozen=True):
     std_length: float
     mean_return: float
     dfa_path: list[int]
+    actions: ActionMode = "greedy"
+    other_success_rate: float | None = None
 
 
 class EventLine(Message, frozen=True):
@@ -275,7 +292,7 @@ class EventLine(Message, frozen=True):
 
 
 class Status(Message, frozen=True, tag="status"):
-    """Coordinator -> who asked. ``clock`` is in seconds of Unix time."""
+    """Coordinator -> who asked. ``clock`` is in seconds of Unix time, ``policy`` the best evaluation so far."""
 
     program: str
     clock: float
@@ -292,6 +309,9 @@ class Status(Message, frozen=True, tag="status"):
     evaluator: str
     learners: list[LearnerRow]
     critics: dict[str, str]
+    success_needed: float = 1.0
+    solved_at: int | None = None
+    policy: EvaluationRow | None = None
 
 
 class DashboardState(Message, frozen=True, tag="dashboard_state"):
@@ -317,6 +337,9 @@ class DashboardState(Message, frozen=True, tag="dashboard_state"):
     evaluations: list[EvaluationRow]
     events: list[EventLine]
     acceptance: Literal["first", "end"] = "first"
+    success_needed: float = 1.0
+    solved_at: int | None = None
+    policy: EvaluationRow | None = None
 
 
 KINDS: dict[str, type[Message]] = {
