@@ -8,6 +8,7 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from t4nmtd_dist.automata.deadline import Deadline
 from t4nmtd_dist.automata.dfa import DFA
 from t4nmtd_dist.automata.translate import translate
 from t4nmtd_dist.config import TaskConfig
@@ -57,12 +58,22 @@ def compile_task(config: TaskConfig, *, translator: Translator = "auto", seed: i
 
     Raises:
         FormulaError, TranslationError: if the formula or the translator fails.
-        ConfigError: if nothing is left to learn.
+        ConfigError: if nothing is left to learn, or compiling takes longer than ``decomposition.time_limit``.
     """
-    dfa = translate(config.formula, propositions=config.propositions, translator=translator)
     settings = config.decomposition
-    decomposition = decompose(dfa, exclusive=config.exclusive, mode=settings.mode, prune=settings.prune, seed=seed)
+    deadline = Deadline.after(settings.time_limit)
+    dfa = translate(config.formula, propositions=config.propositions, translator=translator, deadline=deadline)
+    decomposition = decompose(
+        dfa,
+        exclusive=config.exclusive,
+        mode=settings.mode,
+        prune=settings.prune,
+        keep=settings.keep,
+        seed=seed,
+        deadline=deadline,
+    )
     if not decomposition.available(dfa.initial):
         raise ConfigError(f"task {config.name!r}: no sub-task is available in the initial state; run `t4nmtd inspect`")
-    dist = distances(dfa, exclusive=config.exclusive, mode=settings.dist)
+    dist = distances(dfa, exclusive=config.exclusive, mode=settings.dist, deadline=deadline)
+    dfa.find_edges(deadline)
     return CompiledTask(config, dfa, decomposition, dist, potentials(dfa, dist))

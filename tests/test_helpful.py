@@ -129,7 +129,7 @@ def test_every_state_keeps_a_way_to_acceptance(
         if able:
             assert reached(q, kept.transitions) & accepting
     assert set(kept.transitions) <= set(every.transitions)
-    assert len({taus for taus in kept.subtasks.values()}) == len(kept.pids)
+    assert len(set(kept.subtasks.values())) == len(kept.pids)
     assert sorted([*kept.left_out, *(name for pid in kept.pids for name in pid.split("&"))]) == sorted(every.pids)
     if not prune:
         assert kept.left_out == ()

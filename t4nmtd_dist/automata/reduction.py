@@ -81,6 +81,19 @@ def closure(start: Iterable[int], successors: dict[int, set[int]]) -> frozenset[
     return frozenset(found)
 
 
+def shortest_distances(transitions: Iterable[Transition], targets: Iterable[int]) -> dict[int, float]:
+    """The number of transitions from each state to the nearest target, for all states that reach one."""
+    sources = predecessors(transitions)
+    layer = set(targets)
+    dist = dict.fromkeys(layer, 0.0)
+    steps = 0.0
+    while layer:
+        steps += 1.0
+        layer = {q for target in layer for q in sources.get(target, ())} - dist.keys()
+        dist.update(dict.fromkeys(layer, steps))
+    return dist
+
+
 def predecessors(transitions: Iterable[Transition]) -> dict[int, set[int]]:
     """For every target the set of its sources."""
     sources: dict[int, set[int]] = {}
