@@ -42,6 +42,8 @@ def test_propositions_never_seen_together_are_suggested(tmp_path: Path, capsys: 
     assert suggestion["true_steps"] == {
         name: round(report["labels"][name] * report["steps"]) for name in ("left", "right")
     }
+    counts = list(suggestion["true_steps"].values())
+    assert suggestion["expected_together"] == pytest.approx(counts[0] * counts[1] / 600, abs=0.01)
     assert min(suggestion["true_steps"].values()) >= MIN_TRUE
     assert suggestion["states"] == suggestion["states_before"] == 4
     assert (suggestion["transitions"], suggestion["transitions_before"]) == (8, 9)
