@@ -8,8 +8,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from types import FrameType
 
-import tyro
-
+from t4nmtd_dist.cli.entry import parse
 from t4nmtd_dist.cli.options import RunOptions
 from t4nmtd_dist.wire.endpoints import DEFAULT_CONTROL, DEFAULT_STATE
 
@@ -38,7 +37,7 @@ class CoordinatorCommand(RunOptions):
 
 def main() -> None:
     """Entry point of ``t4nmtd-coordinator``."""
-    sys.exit(run(tyro.cli(CoordinatorCommand, prog="t4nmtd-coordinator")))
+    sys.exit(run(parse(CoordinatorCommand, "t4nmtd-coordinator", CoordinatorCommand.__doc__)))
 
 
 def run(command: CoordinatorCommand) -> int:

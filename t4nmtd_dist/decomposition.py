@@ -138,18 +138,8 @@ def decompose(
         ConfigError: for an unknown mode or a proposition named ``tick``, if acceptance cannot be reached,
             if the automaton is too large and tangled to prune, or if the deadline passes.
     """
-    if mode not in get_args(Mode):
-        raise ConfigError(f"unknown decomposition {mode!r}; expected one of {', '.join(get_args(Mode))}")
-    if keep not in get_args(Keep):
-        raise ConfigError(f"unknown keep {keep!r}; expected one of {', '.join(get_args(Keep))}")
-    if TICK in dfa.propositions:
-        raise ConfigError(f"{TICK!r} names the sub-task that only waits; give the proposition another name")
-    reduced = reduce_automaton(dfa, exclusive)
-    if not reduced.accepting:
-        raise ConfigError(
-            f"no accepting state can be reached with the exclusive propositions {_groups_text(exclusive)}; "
-            "change the formula or the groups"
-        )
+    _check_choices(dfa, mode, keep)
+    reduced = _solvable(dfa, exclusive)
     goals = _goals(reduced, dfa.initial, prune, deadline)
     allowed = allowed_letters(dfa, exclusive)
     dealt = _dealt(goals, dfa, allowed, literal=mode == "literal", deadline=deadline)
@@ -159,6 +149,26 @@ def decompose(
         helpful = without_useless(dealt, dfa, reduced.accepting, allowed, deadline) if prune else dealt
         decomposition = _decomposition(merged(helpful), left_out=sorted(dealt.keys() - helpful.keys()))
     return _shuffled(decomposition, seed) if mode == "random" else decomposition
+
+
+def _check_choices(dfa: DFA, mode: Mode, keep: Keep) -> None:
+    if mode not in get_args(Mode):
+        raise ConfigError(f"unknown decomposition {mode!r}; expected one of {', '.join(get_args(Mode))}")
+    if keep not in get_args(Keep):
+        raise ConfigError(f"unknown keep {keep!r}; expected one of {', '.join(get_args(Keep))}")
+    if TICK in dfa.propositions:
+        raise ConfigError(f"{TICK!r} names the sub-task that only waits; give the proposition another name")
+
+
+def _solvable(dfa: DFA, exclusive: ExclusiveGroups) -> ReducedAutomaton:
+    """The automaton without excluded letters, if acceptance is still reachable."""
+    reduced = reduce_automaton(dfa, exclusive)
+    if not reduced.accepting:
+        raise ConfigError(
+            f"no accepting state can be reached with the exclusive propositions {_groups_text(exclusive)}; "
+            "change the formula or the groups"
+        )
+    return reduced
 
 
 def _decomposition(subtasks: Mapping[str, Sequence[Transition]], left_out: Sequence[str] = ()) -> Decomposition:

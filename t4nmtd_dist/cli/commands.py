@@ -8,6 +8,7 @@ from typing import Annotated, Literal
 
 import tyro
 
+from t4nmtd_dist.cli.completion import Completion
 from t4nmtd_dist.cli.key_commands import Keys
 from t4nmtd_dist.cli.options import RunOptions
 from t4nmtd_dist.devices import Device
@@ -276,4 +277,4 @@ class Doctor:
         return examine(complete_endpoint(self.connect, CONTROL_PORT), self.keys, self.wait)
 
 
-Command = Train | Evaluate | Record | Plot | Inspect | Check | Tasks | Dashboard | Keys | Status | Doctor
+Command = Train | Evaluate | Record | Plot | Inspect | Check | Tasks | Dashboard | Keys | Status | Doctor | Completion
