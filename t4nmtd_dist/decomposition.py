@@ -115,22 +115,18 @@ def decompose(
     lie on no simple path from q0 to F. What differs is who gets them:
 
     - ``objective``: the literals of the guard's prime implicants that do not hold already while waiting in q;
-      of each implicant the positive ones, or if it has none, the negative ones.
-    - ``literal``: every literal of the label as :attr:`DFA.edges` writes it, the paper's wording taken at
-      face value.
+      of each implicant the positive ones, or if it has none, the negative ones. ``keep="helpful"`` then leaves
+      out those that never bring acceptance nearer (only with ``prune``) and merges equal ones: ``a&b``.
+    - ``literal``: every literal of the label as :attr:`DFA.edges` writes it, the paper's wording at face value.
     - ``random``: as many sub-tasks ``r1`` .. ``rn`` as ``objective`` finds, sizes even to within one; each
       transition lies in as many of them as it does there.
-
-    ``keep="helpful"`` then leaves out the sub-tasks of ``objective`` that never bring acceptance nearer (unless
-    ``prune`` is off, which keeps everything) and merges those with equal transitions: ``a&b``. The default here,
-    ``all``, is the rule of the paper; the default of a task's setting is ``helpful``.
 
     Args:
         dfa: the task automaton; sub-tasks speak of its states.
         exclusive: groups of propositions that can never hold together.
         mode: how labels become sub-tasks.
         prune: leave out the transitions that no simple path to acceptance takes.
-        keep: which sub-tasks remain.
+        keep: ``all`` is the rule of the paper; a task's setting is ``helpful`` by default.
         seed: of the random decomposition; the other modes do not use it.
         deadline: of the compilation that this is part of.
 
@@ -140,6 +136,8 @@ def decompose(
     """
     _check_choices(dfa, mode, keep)
     reduced = _solvable(dfa, exclusive)
+    if mode == "literal":
+        dfa.find_edges(deadline)
     goals = _goals(reduced, dfa.initial, prune, deadline)
     allowed = allowed_letters(dfa, exclusive)
     dealt = _dealt(goals, dfa, allowed, literal=mode == "literal", deadline=deadline)

@@ -19,11 +19,9 @@ class Completion:
     zsh: t4nmtd completion zsh > ~/.zfunc/_t4nmtd (with fpath+=~/.zfunc before compinit in ~/.zshrc)
 
     fish: t4nmtd completion fish > ~/.config/fish/completions/t4nmtd.fish
-
-    tcsh: t4nmtd completion tcsh > ~/.t4nmtd.tcsh (with source ~/.t4nmtd.tcsh in ~/.tcshrc)
     """
 
-    shell: Annotated[Literal["bash", "zsh", "fish", "tcsh"], tyro.conf.Positional]
+    shell: Annotated[Literal["bash", "zsh", "fish"], tyro.conf.Positional]
     """The shell."""
     program: Program = "t4nmtd"
     """The command to be completed; name the file after it."""

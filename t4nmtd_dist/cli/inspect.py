@@ -104,11 +104,7 @@ def run_inspect(
     if as_json:
         console.out(json.dumps(found, indent=1), highlight=False)
         return
-    heading = f"{name}: {title}" if title else name
-    if summary or (summary is None and dfa.states > MOST_STATES):
-        _print_summary(console, heading, formula, found, asked=bool(summary))
-    else:
-        print_inspection(console, heading, formula, found)
+    _print_page(console, f"{name}: {title}" if title else name, formula, found, summary)
     if svg is not None:
         console.print(Text(f"Picture written to {svg}"))
 
@@ -159,10 +155,14 @@ def _check_drawable(dfa: DFA) -> None:
         )
 
 
-def _print_summary(console: Console, title: str, formula: str, found: Inspection, *, asked: bool) -> None:
+def _print_page(console: Console, title: str, formula: str, found: Inspection, summary: bool | None) -> None:
+    """The summary if it was asked for (True) or the automaton is large (None), else the full page."""
+    if summary is False or (summary is None and found["states"] <= MOST_STATES):
+        print_inspection(console, title, formula, found)
+        return
     for line in summary_lines(title, formula, found, console.width):
         console.print(Text(line), no_wrap=True)
-    if not asked:
+    if summary is None:
         console.print(Text(f"This is the summary, for more than {MOST_STATES} states; --full prints the full page."))
 
 
