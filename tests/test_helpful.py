@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from test_decomposition import EXPECTED, UNDOING, sizes, task
+from test_decomposition import EXPECTED, UNDOING, automaton, sizes, task
 from test_semantics import formula_texts
 
 from t4nmtd_dist.automata.dfa import DFA
@@ -98,6 +98,17 @@ def test_the_random_decomposition_has_as_many_sub_tasks_as_are_kept() -> None:
     dealt_at_random = decompose(dfa, mode="random", keep="helpful")
     assert dealt_at_random.pids == ("r1", "r2")
     assert dealt_at_random.transitions == decompose(dfa).transitions
+
+
+def test_distances_do_not_count_transitions_that_were_pruned() -> None:
+    """From 2 the nearest way leads back over 1, on no simple path; so ``e``, the longer way, must stay."""
+    dfa = automaton(["a", "b", "c", "d", "e", "f", "g"], 6, [5], (0, 0, [["~a"]]), (0, 1, [["a"]]),
+                    (1, 1, [["~b", "~c"]]), (1, 2, [["c", "~b"]]), (1, 5, [["b"]]),
+                    (2, 2, [["~d", "~e"]]), (2, 1, [["d", "~e"]]), (2, 3, [["e"]]),
+                    (3, 3, [["~f"]]), (3, 4, [["f"]]), (4, 4, [["~g"]]), (4, 5, [["g"]]), (5, 5, [[]]))  # fmt: skip
+    found = decompose(dfa, keep="helpful")
+    assert found.left_out == ("c",)
+    assert found.available(2) == ("e",)
 
 
 def reached(initial: int, transitions: tuple[tuple[int, int], ...]) -> set[int]:
