@@ -68,6 +68,7 @@ def _serve(command: CoordinatorCommand) -> int:
     from t4nmtd_dist.launch.ends import hear_ends
     from t4nmtd_dist.wire.addresses import here
     from t4nmtd_dist.wire.sockets import new_context
+    from t4nmtd_dist.wire.task_size import check_task_size
 
     if not command.lease > 0:
         raise ConfigError(f"--lease {command.lease}: expected seconds above 0")
@@ -77,6 +78,7 @@ def _serve(command: CoordinatorCommand) -> int:
         return EXIT_CODES["solved"]
     config = plan.config
     task = prepared(compile_task(config, translator=command.translator, seed=plan.seed))
+    check_task_size(task)
     warning = slowness(task.config.environment)
     if warning is not None:
         print(f"warning: {warning}", file=sys.stderr)

@@ -9,6 +9,7 @@ from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
+import msgspec
 import pytest
 
 from t4nmtd_dist.automata import deadline
@@ -17,6 +18,7 @@ from t4nmtd_dist.compiled import compile_task
 from t4nmtd_dist.config import task_config
 from t4nmtd_dist.errors import ConfigError, T4NMTDError, TranslationError
 from t4nmtd_dist.tasks import load_task
+from t4nmtd_dist.wire.task_size import check_task_size
 
 TEN = "abcdefghij"
 
@@ -140,6 +142,16 @@ def test_one_deadline_holds_for_every_stage(monkeypatch: pytest.MonkeyPatch) -> 
         stages.add(str(caught.value).partition("too large for ")[2].partition(".")[0])
     expected = {"the search for simple paths", "dealing its transitions to sub-tasks", "writing down its guards"}
     assert stages >= {"", *expected}
+
+
+def test_a_task_too_large_for_a_message_to_a_worker_is_refused() -> None:
+    data = load_task("task7").to_dict() | {"formula": unordered(TEN[:8]), "propositions": list(TEN[:8])}
+    task = compile_task(task_config(data))
+    check_task_size(task)
+    parts = {"dfa": task.dfa.to_json(), "decomposition": task.decomposition.to_json()}
+    size = len(msgspec.msgpack.encode(parts))
+    with pytest.raises(ConfigError, match="256 states and 6561 transitions, .* train with --serial"):
+        check_task_size(task, most=size)
 
 
 def test_a_table_too_large_to_keep_is_refused_at_once() -> None:
