@@ -150,7 +150,7 @@ def test_a_task_too_large_for_a_message_to_a_worker_is_refused() -> None:
     check_task_size(task)
     parts = {"dfa": task.dfa.to_json(), "decomposition": task.decomposition.to_json()}
     size = len(msgspec.msgpack.encode(parts))
-    with pytest.raises(ConfigError, match="256 states and 6561 transitions, .* train with --serial"):
+    with pytest.raises(ConfigError, match=r"256 states and 6561 transitions, .* train with --serial"):
         check_task_size(task, most=size)
 
 
