@@ -8,8 +8,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from types import FrameType
 
-import tyro
-
+from t4nmtd_dist.cli.entry import parse
 from t4nmtd_dist.cli.options import RunOptions
 from t4nmtd_dist.wire.endpoints import DEFAULT_CONTROL, DEFAULT_STATE
 
@@ -38,7 +37,7 @@ class CoordinatorCommand(RunOptions):
 
 def main() -> None:
     """Entry point of ``t4nmtd-coordinator``."""
-    sys.exit(run(tyro.cli(CoordinatorCommand, prog="t4nmtd-coordinator")))
+    sys.exit(run(parse(CoordinatorCommand, "t4nmtd-coordinator", CoordinatorCommand.__doc__)))
 
 
 def run(command: CoordinatorCommand) -> int:
@@ -71,6 +70,7 @@ def _serve(command: CoordinatorCommand) -> int:
     from t4nmtd_dist.runs.report import outcome_text
     from t4nmtd_dist.wire.addresses import here
     from t4nmtd_dist.wire.sockets import new_context
+    from t4nmtd_dist.wire.task_size import check_task_size
 
     if not command.lease > 0:
         raise ConfigError(f"--lease {command.lease}: expected seconds above 0")
@@ -80,6 +80,7 @@ def _serve(command: CoordinatorCommand) -> int:
         return EXIT_CODES["solved"]
     config = plan.config
     task = prepared(compile_task(config, translator=command.translator, seed=plan.seed))
+    check_task_size(task)
     warning = slowness(task.config.environment)
     if warning is not None:
         print(f"warning: {warning}", file=sys.stderr)

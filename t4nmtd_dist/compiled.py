@@ -10,7 +10,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from t4nmtd_dist.automata.acceptance import task_automaton
+from t4nmtd_dist.automata.deadline import Deadline
 from t4nmtd_dist.automata.dfa import DFA
+from t4nmtd_dist.automata.formula import names_in_order
 from t4nmtd_dist.automata.translate import translate
 from t4nmtd_dist.config import TaskConfig
 from t4nmtd_dist.decomposition import Decomposition, decompose
@@ -59,14 +61,25 @@ def compile_task(config: TaskConfig, *, translator: Translator = "auto", seed: i
 
     Raises:
         FormulaError, TranslationError: if the formula or the translator fails.
-        ConfigError: if nothing is left to learn.
+        ConfigError: if nothing is left to learn, or compiling takes longer than ``decomposition.time_limit``.
     """
-    formula = translate(config.formula, propositions=config.propositions, translator=translator)
+    settings = config.decomposition
+    deadline = Deadline.after(settings.time_limit)
+    formula = translate(config.formula, propositions=config.propositions, translator=translator, deadline=deadline)
     dfa, acceptance = task_automaton(formula, config.acceptance, config.exclusive)
     config = dataclasses.replace(config, acceptance=acceptance)
-    settings = config.decomposition
-    decomposition = decompose(dfa, exclusive=config.exclusive, mode=settings.mode, prune=settings.prune, seed=seed)
+    decomposition = decompose(
+        dfa,
+        exclusive=config.exclusive,
+        mode=settings.mode,
+        prune=settings.prune,
+        keep=settings.keep,
+        order=names_in_order(config.formula),
+        seed=seed,
+        deadline=deadline,
+    )
     if not decomposition.available(dfa.initial):
         raise ConfigError(f"task {config.name!r}: no sub-task is available in the initial state; run `t4nmtd inspect`")
-    dist = distances(dfa, exclusive=config.exclusive, mode=settings.dist)
+    dist = distances(dfa, exclusive=config.exclusive, mode=settings.dist, deadline=deadline)
+    dfa.find_edges(deadline)
     return CompiledTask(config, dfa, decomposition, dist, potentials(dfa, dist))

@@ -51,11 +51,22 @@ class EnvironmentConfig:
 
 @dataclass(frozen=True)
 class DecompositionConfig:
-    """How transitions are dealt to sub-tasks and how far states are from acceptance (spec: Decomposition)."""
+    """How transitions are dealt to sub-tasks and how far states are from acceptance (spec: Decomposition).
+
+    Attributes:
+        mode: ``objective``, ``literal`` or ``random`` (see ``t4nmtd_dist.decomposition.decompose``).
+        prune: leave out transitions that no simple path to acceptance takes.
+        keep: ``helpful`` merges sub-tasks with equal transitions and, where ``prune`` is on, leaves out those that
+            never bring acceptance nearer; ``all`` keeps every sub-task, as in the paper (docs/decisions/019).
+        dist: ``shortest`` path to acceptance, or the ``mean`` over all simple paths.
+        time_limit: seconds that compiling the task may take, from formula to sub-tasks.
+    """
 
     mode: Literal["objective", "literal", "random"] = "objective"
     prune: bool = True
+    keep: Literal["helpful", "all"] = "helpful"
     dist: Literal["shortest", "mean"] = "shortest"
+    time_limit: float = 20.0
 
 
 @dataclass(frozen=True)
@@ -246,6 +257,7 @@ def _plain(value: Any) -> Any:
 def _check_ranges(task: TaskConfig) -> None:
     positive = {
         "environment.horizon": task.environment.horizon,
+        "decomposition.time_limit": task.decomposition.time_limit,
         "learner.attempt_steps": task.learner.attempt_steps,
         "learner.start_capacity": task.learner.start_capacity,
         "learner.reward_scale": task.learner.reward_scale,

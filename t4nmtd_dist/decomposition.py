@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from types import MappingProxyType
 from typing import Any, Literal, get_args
@@ -11,6 +11,7 @@ from typing import Any, Literal, get_args
 import numpy as np
 
 from t4nmtd_dist.automata.cubes import Cube, TruthTable, prime_implicants
+from t4nmtd_dist.automata.deadline import Deadline
 from t4nmtd_dist.automata.dfa import DFA
 from t4nmtd_dist.automata.reduction import (
     ExclusiveGroups,
@@ -21,8 +22,10 @@ from t4nmtd_dist.automata.reduction import (
 )
 from t4nmtd_dist.automata.simple_paths import edges_on_simple_paths
 from t4nmtd_dist.errors import ConfigError
+from t4nmtd_dist.helpful import merged, without_useless
 
 Mode = Literal["objective", "literal", "random"]
+Keep = Literal["helpful", "all"]
 
 TICK = "tick"
 
@@ -33,9 +36,11 @@ class Decomposition:
 
     Attributes:
         subtasks: pid -> its transitions (q, q'), sorted; pids in sorted order; none is empty.
+        left_out: pids that were dropped because they never bring acceptance nearer; for human readers.
     """
 
     subtasks: Mapping[str, tuple[Transition, ...]]
+    left_out: tuple[str, ...] = field(default=(), compare=False)
     _targets: dict[tuple[str, int], frozenset[int]] = field(init=False, repr=False, compare=False)
     _available: dict[int, tuple[str, ...]] = field(init=False, repr=False, compare=False)
 
@@ -99,7 +104,10 @@ def decompose(
     exclusive: ExclusiveGroups = (),
     mode: Mode = "objective",
     prune: bool = True,
+    keep: Keep = "all",
+    order: Sequence[str] = (),
     seed: int = 0,
+    deadline: Deadline | None = None,
 ) -> Decomposition:
     """Deal the transitions of a task automaton to sub-tasks.
 
@@ -108,9 +116,9 @@ def decompose(
     lie on no simple path from q0 to F. What differs is who gets them:
 
     - ``objective``: the literals of the guard's prime implicants that do not hold already while waiting in q;
-      of each implicant the positive ones, or if it has none, the negative ones.
-    - ``literal``: every literal of the label as :attr:`DFA.edges` writes it, the paper's wording taken at
-      face value.
+      of each implicant the positive ones, or if it has none, the negative ones. ``keep="helpful"`` then leaves
+      out those that never bring acceptance nearer (only with ``prune``) and merges equal ones: ``a&b``.
+    - ``literal``: every literal of the label as :attr:`DFA.edges` writes it, the paper's wording at face value.
     - ``random``: as many sub-tasks ``r1`` .. ``rn`` as ``objective`` finds, sizes even to within one; each
       transition lies in as many of them as it does there.
 
@@ -119,43 +127,78 @@ def decompose(
         exclusive: groups of propositions that can never hold together.
         mode: how labels become sub-tasks.
         prune: leave out the transitions that no simple path to acceptance takes.
+        keep: ``all`` is the rule of the paper; a task's setting is ``helpful`` by default.
+        order: of the names in merged sub-tasks.
         seed: of the random decomposition; the other modes do not use it.
+        deadline: of the compilation that this is part of.
 
     Raises:
-        ConfigError: for an unknown mode or a proposition named ``tick``, if acceptance cannot be reached, or
-            if the automaton is too large and tangled to prune.
+        ConfigError: for an unknown mode or a proposition named ``tick``, if acceptance cannot be reached,
+            if the automaton is too large and tangled to prune, or if the deadline passes.
     """
+    _check_choices(dfa, mode, keep)
+    reduced = _solvable(dfa, exclusive)
+    if mode == "literal":
+        dfa.find_edges(deadline)
+    goals = _goals(reduced, dfa.initial, prune, deadline)
+    allowed = allowed_letters(dfa, exclusive)
+    dealt = _dealt(goals, dfa, allowed, literal=mode == "literal", deadline=deadline)
+    if mode == "literal" or keep == "all":
+        decomposition = _decomposition(dealt)
+    else:
+        helpful = without_useless(dealt, dfa, reduced.accepting, allowed, deadline) if prune else dealt
+        decomposition = _decomposition(merged(helpful, order), left_out=sorted(dealt.keys() - helpful.keys()))
+    return _shuffled(decomposition, seed) if mode == "random" else decomposition
+
+
+def _check_choices(dfa: DFA, mode: Mode, keep: Keep) -> None:
     if mode not in get_args(Mode):
         raise ConfigError(f"unknown decomposition {mode!r}; expected one of {', '.join(get_args(Mode))}")
+    if keep not in get_args(Keep):
+        raise ConfigError(f"unknown keep {keep!r}; expected one of {', '.join(get_args(Keep))}")
     if TICK in dfa.propositions:
         raise ConfigError(f"{TICK!r} names the sub-task that only waits; give the proposition another name")
+
+
+def _solvable(dfa: DFA, exclusive: ExclusiveGroups) -> ReducedAutomaton:
+    """The automaton without excluded letters, if acceptance is still reachable."""
     reduced = reduce_automaton(dfa, exclusive)
     if not reduced.accepting:
         raise ConfigError(
             f"no accepting state can be reached with the exclusive propositions {_groups_text(exclusive)}; "
             "change the formula or the groups"
         )
-    owners = _literal_pids if mode == "literal" else _objectives
-    allowed = allowed_letters(dfa, exclusive)
-    dealt: dict[str, list[Transition]] = {}
-    for tau in _goals(reduced, dfa.initial, prune):
-        for pid in owners(dfa, tau, allowed):
-            dealt.setdefault(pid, []).append(tau)
-    decomposition = Decomposition({pid: tuple(taus) for pid, taus in dealt.items()})
-    return _shuffled(decomposition, seed) if mode == "random" else decomposition
+    return reduced
 
 
-def _goals(reduced: ReducedAutomaton, initial: int, prune: bool) -> list[Transition]:
+def _decomposition(subtasks: Mapping[str, Sequence[Transition]], left_out: Sequence[str] = ()) -> Decomposition:
+    return Decomposition({pid: tuple(taus) for pid, taus in subtasks.items()}, tuple(left_out))
+
+
+def _goals(reduced: ReducedAutomaton, initial: int, prune: bool, deadline: Deadline | None) -> list[Transition]:
     """The transitions that sub-tasks may aim at, sorted."""
     progress = reduced.progress
-    return sorted(edges_on_simple_paths(progress, initial, reduced.accepting)) if prune else list(progress)
+    return sorted(edges_on_simple_paths(progress, initial, reduced.accepting, deadline)) if prune else list(progress)
 
 
-def _objectives(dfa: DFA, tau: Transition, allowed: TruthTable) -> set[str]:
+def _dealt(
+    goals: Sequence[Transition], dfa: DFA, allowed: TruthTable, *, literal: bool, deadline: Deadline | None
+) -> dict[str, list[Transition]]:
+    """The transitions of every sub-task."""
+    dealt: dict[str, list[Transition]] = {}
+    waiting = {q: _entailed(dfa.letters(q, q) & allowed, dfa.propositions) for q in {q for q, _ in goals}}
+    for tau in goals:
+        if deadline is not None:
+            deadline.check("dealing its transitions to sub-tasks")
+        pids = _literal_pids(dfa, tau, allowed) if literal else _objectives(dfa, tau, allowed, waiting[tau[0]])
+        for pid in pids:
+            dealt.setdefault(pid, []).append(tau)
+    return dealt
+
+
+def _objectives(dfa: DFA, tau: Transition, allowed: TruthTable, waiting: frozenset[str]) -> set[str]:
     """The pids of a transition: what its guard asks for beyond what holds while waiting in its source."""
-    q, target = tau
-    waiting = _entailed(dfa.letters(q, q) & allowed, dfa.propositions)
-    label = prime_implicants(dfa.letters(q, target) & allowed, ~allowed, dfa.propositions)
+    label = prime_implicants(dfa.letters(*tau) & allowed, ~allowed, dfa.propositions)
     return {pid for implicant in label for pid in _implicant_pids(implicant, waiting)}
 
 

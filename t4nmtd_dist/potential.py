@@ -10,13 +10,14 @@ from typing import Literal, get_args
 import numpy as np
 from numpy.typing import NDArray
 
-from t4nmtd_dist.automata.acceptance import LAST, accepts_while_waiting
+from t4nmtd_dist.automata.acceptance import unfulfilled_states
+from t4nmtd_dist.automata.deadline import Deadline
 from t4nmtd_dist.automata.dfa import DFA
 from t4nmtd_dist.automata.reduction import (
     ExclusiveGroups,
     ReducedAutomaton,
-    predecessors,
     reduce_automaton,
+    shortest_distances,
 )
 from t4nmtd_dist.automata.simple_paths import simple_path_lengths
 from t4nmtd_dist.errors import ConfigError
@@ -26,7 +27,9 @@ DistanceMode = Literal["shortest", "mean"]
 PATH_LIMIT = 100_000
 
 
-def distances(dfa: DFA, *, exclusive: ExclusiveGroups = (), mode: DistanceMode = "shortest") -> dict[int, float]:
+def distances(
+    dfa: DFA, *, exclusive: ExclusiveGroups = (), mode: DistanceMode = "shortest", deadline: Deadline | None = None
+) -> dict[int, float]:
     """dist(q) of every state: the number of transitions from q to acceptance.
 
     Self-loops and letters that ``exclusive`` rules out do not count. Where the trace ends with the episode, a step that
@@ -36,18 +39,24 @@ def distances(dfa: DFA, *, exclusive: ExclusiveGroups = (), mode: DistanceMode =
         dfa: the task automaton.
         exclusive: groups of propositions that can never hold together.
         mode: ``shortest`` path, or the ``mean`` over all simple paths (the paper's average distance).
+        deadline: of the compilation that this is part of.
 
     Returns:
         state -> distance, 0 on F. Infinite on E, and on states that only excluded letters reach: they do not
         exist for the task, and should one turn up it is as good as an error.
 
     Raises:
-        ConfigError: for an unknown mode, or if ``mean`` meets more than 100,000 simple paths in all.
+        ConfigError: for an unknown mode, or if ``mean`` meets more than 100,000 simple paths in all,
+            or the deadline passes.
     """
     if mode not in get_args(DistanceMode):
         raise ConfigError(f"unknown dist {mode!r}; expected one of {', '.join(get_args(DistanceMode))}")
     reduced = reduce_automaton(dfa, exclusive)
-    finite = _shortest(reduced, _waiting(dfa)) if mode == "shortest" else _means(reduced)
+    finite = (
+        shortest_distances(reduced.progress, reduced.accepting, unfulfilled_states(dfa))
+        if mode == "shortest"
+        else _means(reduced, deadline)
+    )
     return {q: finite.get(q, math.inf) for q in range(dfa.states)}
 
 
@@ -69,34 +78,12 @@ def potentials(dfa: DFA, dist: Mapping[int, float], constant: float = 100.0) -> 
     return rho
 
 
-def _waiting(dfa: DFA) -> frozenset[int] | None:
-    return accepts_while_waiting(dfa) if LAST in dfa.propositions else None
-
-
-def _shortest(reduced: ReducedAutomaton, waiting: frozenset[int] | None) -> dict[int, float]:
-    """Distances by relaxation backwards from F; ``waiting``: where ``last`` alone accepts, None without ``last``."""
-    sources = predecessors(reduced.progress)
-    dist = dict.fromkeys(reduced.accepting, 0.0)
-    fresh = set(reduced.accepting)
-    while fresh:
-        found: dict[int, float] = {}
-        for target in fresh:
-            for q in sources.get(target, ()):
-                both = waiting is not None and target in reduced.accepting and q not in waiting
-                length = dist[target] + (2.0 if both else 1.0)
-                if length < min(dist.get(q, math.inf), found.get(q, math.inf)):
-                    found[q] = length
-        dist |= found
-        fresh = set(found)
-    return dist
-
-
-def _means(reduced: ReducedAutomaton) -> dict[int, float]:
+def _means(reduced: ReducedAutomaton, deadline: Deadline | None) -> dict[int, float]:
     """Mean length of the simple paths from every state to F."""
     left = PATH_LIMIT
     means: dict[int, float] = {}
     for q in sorted(reduced.states - reduced.error):
-        lengths = list(islice(simple_path_lengths(reduced.progress, q, reduced.accepting), left + 1))
+        lengths = list(islice(simple_path_lengths(reduced.progress, q, reduced.accepting, deadline), left + 1))
         left -= len(lengths)
         if left < 0:
             raise ConfigError(f"dist=mean: more than {PATH_LIMIT:,} simple paths lead to acceptance; use dist=shortest")

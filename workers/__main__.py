@@ -10,6 +10,7 @@ from typing import Annotated
 
 import tyro
 
+from t4nmtd_dist.cli.entry import parse
 from t4nmtd_dist.devices import Device
 from t4nmtd_dist.wire.endpoints import DEFAULT_CONTROL
 
@@ -51,7 +52,7 @@ class WorkerCommand:
 
 def main() -> None:
     """Entry point of ``t4nmtd-worker``."""
-    code = run(tyro.cli(WorkerCommand, prog="t4nmtd-worker"))
+    code = run(parse(WorkerCommand, "t4nmtd-worker", WorkerCommand.__doc__))
     sys.stderr.flush()
     os._exit(code)  # Python would wait for an unfinished import, and then for torch to tidy up: seconds
 

@@ -95,10 +95,12 @@ def _without_fresh_initial(dfa: DFA) -> int:
     return int(alike[-1])
 
 
-def accepts_while_waiting(dfa: DFA) -> frozenset[int]:
-    """The states of a ``with_last`` automaton in which the formula holds: waiting there until the end is enough."""
+def unfulfilled_states(dfa: DFA) -> frozenset[int]:
+    """Of a ``with_last`` automaton, the states in which waiting until the end is not enough; none of any other."""
+    if LAST not in dfa.propositions:
+        return frozenset()
     bit = dfa.letter([LAST])
     letters = np.flatnonzero(np.arange(dfa.delta.shape[1]) & bit == 0)
     waits = dfa.delta[:, letters] == np.arange(dfa.states)[:, None]
     accepted = np.isin(dfa.delta[:, letters | bit], list(dfa.accepting))
-    return frozenset(map(int, np.flatnonzero((waits & accepted).any(axis=1)))) - dfa.accepting
+    return frozenset(map(int, np.flatnonzero(~(waits & accepted).any(axis=1)))) - dfa.accepting

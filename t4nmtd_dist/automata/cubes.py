@@ -21,6 +21,9 @@ SUPPORT_LIMIT = 14
 
 def irredundant_cover(table: TruthTable, propositions: tuple[str, ...]) -> Guard:
     """An irredundant sum of cubes for a truth table (Minato and Morreale's recursion)."""
+    single = _single_cube(table, propositions)
+    if single is not None:
+        return (single,)
     cubes, _ = _isop(table, table, len(propositions) - 1)
     named = (tuple(_literal(propositions[i], value) for i, value in sorted(cube)) for cube in cubes)
     return tuple(sorted(named, key=lambda cube: (len(cube), cube)))
@@ -44,6 +47,9 @@ def prime_implicants(on: TruthTable, dont_care: TruthTable, propositions: tuple[
     """
     if not on.any():
         return ()
+    single = None if dont_care.any() else _single_cube(on, propositions)
+    if single is not None and len(single) <= SUPPORT_LIMIT:
+        return (single,)
     implied, required, support = _project(on | dont_care, on, len(propositions))
     if len(support) > SUPPORT_LIMIT:
         raise ConfigError(
@@ -67,6 +73,18 @@ def cube_text(cube: Cube) -> str:
 def guard_text(guard: Guard) -> str:
     """A guard for human readers: ``p & ~q | r``, or ``false`` if no cube is left."""
     return " | ".join(map(cube_text, guard)) if guard else "false"
+
+
+def _single_cube(table: TruthTable, propositions: tuple[str, ...]) -> Cube | None:
+    """The cube that a truth table is, if it is one: most guards of large automata are."""
+    held = np.flatnonzero(table)
+    if not held.size:
+        return None
+    always, ever = int(np.bitwise_and.reduce(held)), int(np.bitwise_or.reduce(held))
+    fixed = ~(always ^ ever) & (len(table) - 1)
+    if held.size << fixed.bit_count() != len(table):
+        return None
+    return tuple(_literal(name, bool(always >> i & 1)) for i, name in enumerate(propositions) if fixed >> i & 1)
 
 
 def _project(table: TruthTable, kept: TruthTable, n: int) -> tuple[TruthTable, TruthTable, list[int]]:

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from t4nmtd_dist.automata.cubes import Guard, irredundant_cover
+from t4nmtd_dist.automata.deadline import Deadline
 from t4nmtd_dist.errors import ConfigError
 
 MAX_PROPOSITIONS = 16
@@ -35,6 +36,7 @@ class DFA:
     accepting: frozenset[int]
     initial: int = 0
     _bit: dict[str, int] = field(init=False, repr=False)
+    _edges: dict[tuple[int, int], Guard] = field(init=False, repr=False, default_factory=dict)
 
     def __post_init__(self) -> None:
         if self.delta.shape[1] != 1 << len(self.propositions):
@@ -89,15 +91,27 @@ class DFA:
             grew = bool(found)
         return frozenset(range(self.states)) - alive
 
-    @cached_property
+    @property
     def edges(self) -> dict[tuple[int, int], Guard]:
         """Every (source, target) pair with its guard as an irredundant list of cubes, sorted by pair."""
-        found: dict[tuple[int, int], Guard] = {}
-        for q in range(self.states):
-            row = self.delta[q]
-            for target in np.unique(row):
-                found[q, int(target)] = irredundant_cover(row == target, self.propositions)
-        return found
+        return self.find_edges()
+
+    def find_edges(self, deadline: Deadline | None = None) -> dict[tuple[int, int], Guard]:
+        """``edges``, found within a deadline; later calls only look them up.
+
+        Raises:
+            ConfigError: if the deadline passes.
+        """
+        if not self._edges:
+            found: dict[tuple[int, int], Guard] = {}
+            for q in range(self.states):
+                row = self.delta[q]
+                for target in np.unique(row):
+                    if deadline is not None:
+                        deadline.check("writing down its guards")
+                    found[q, int(target)] = irredundant_cover(row == target, self.propositions)
+            self._edges.update(found)
+        return self._edges
 
     def letters(self, source: int, target: int) -> NDArray[np.bool_]:
         """Truth table of a guard: bool array of shape (2**|AP|,), true where delta(source, letter) = target."""

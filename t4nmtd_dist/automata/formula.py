@@ -66,6 +66,11 @@ class Formula:
         return frozenset().union(*(operand.propositions() for operand in self.operands))
 
 
+def names_in_order(text: str) -> tuple[str, ...]:
+    """The words of a formula's text in the order in which they first occur; operators and constants are among them."""
+    return tuple(dict.fromkeys(re.findall(r"[A-Za-z_]\w*", text)))
+
+
 def parse(text: str, propositions: Sequence[str] | None = None) -> Formula:
     """Read a formula.
 

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+import math
+from collections.abc import Collection, Iterable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -79,6 +80,28 @@ def closure(start: Iterable[int], successors: dict[int, set[int]]) -> frozenset[
         found |= fresh
         frontier.extend(fresh)
     return frozenset(found)
+
+
+def shortest_distances(
+    transitions: Iterable[Transition], targets: Iterable[int], unfulfilled: Collection[int] = ()
+) -> dict[int, float]:
+    """The number of transitions from each state to the nearest target, for all states that reach one.
+
+    A transition into a target from one of the ``unfulfilled`` states counts as two (``automata.acceptance``).
+    """
+    sources = predecessors(transitions)
+    dist = dict.fromkeys(targets, 0.0)
+    goals, fresh = frozenset(dist), set(dist)
+    while fresh:
+        nearer = set()
+        for target in fresh:
+            for q in sources.get(target, ()):
+                length = dist[target] + (2.0 if target in goals and q in unfulfilled else 1.0)
+                if length < dist.get(q, math.inf):
+                    dist[q] = length
+                    nearer.add(q)
+        fresh = nearer
+    return dist
 
 
 def predecessors(transitions: Iterable[Transition]) -> dict[int, set[int]]:

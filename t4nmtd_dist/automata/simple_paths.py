@@ -14,27 +14,33 @@ from __future__ import annotations
 from collections.abc import Collection, Iterable, Iterator
 from itertools import pairwise
 
+from t4nmtd_dist.automata.deadline import Deadline
 from t4nmtd_dist.errors import ConfigError
 
 Edge = tuple[int, int]
 Walk = tuple[int, int, int]  # masks: where it starts, where it may end, what it may use
 
 SEARCH_LIMIT = 20_000
+DOING = "the search for simple paths"
 
 
-def edges_on_simple_paths(edges: Collection[Edge], source: int, targets: Iterable[int]) -> frozenset[Edge]:
+def edges_on_simple_paths(
+    edges: Collection[Edge], source: int, targets: Iterable[int], deadline: Deadline | None = None
+) -> frozenset[Edge]:
     """The edges that lie on at least one simple path from ``source`` to one of ``targets``.
 
     Args:
         edges: the graph, without self-loops. No edge leaves a target.
         source: where every path starts.
         targets: where a path may end.
+        deadline: of the compilation that this is part of.
 
     Raises:
-        ConfigError: if an edge of a large, tangled component could not be decided within 20,000 steps.
+        ConfigError: if an edge of a large, tangled component could not be decided within 20,000 steps, or the
+            deadline passes.
     """
     goal = _mask(targets)
-    graph = _Graph(edges)
+    graph = _Graph(edges, deadline)
     useful = graph.reach(1 << source) & graph.reach_back(goal)
     found: set[Edge] = set()
     for q, target in edges:
@@ -50,9 +56,11 @@ def edges_on_simple_paths(edges: Collection[Edge], source: int, targets: Iterabl
     return frozenset(found)
 
 
-def simple_path_lengths(edges: Collection[Edge], source: int, targets: Iterable[int]) -> Iterator[int]:
+def simple_path_lengths(
+    edges: Collection[Edge], source: int, targets: Iterable[int], deadline: Deadline | None = None
+) -> Iterator[int]:
     """The length of every simple path from ``source`` to ``targets``; a path ends at its first target."""
-    graph = _Graph(edges)
+    graph = _Graph(edges, deadline)
     goal = _mask(targets)
 
     def walk(v: int, free: int, length: int) -> Iterator[int]:
@@ -69,19 +77,25 @@ def simple_path_lengths(edges: Collection[Edge], source: int, targets: Iterable[
 class _Graph:
     """Successors and predecessors of every vertex, as bit masks."""
 
-    def __init__(self, edges: Iterable[Edge]) -> None:
+    def __init__(self, edges: Iterable[Edge], deadline: Deadline | None = None) -> None:
         self.successors: dict[int, int] = {}
         self.predecessors: dict[int, int] = {}
+        self._components: dict[int, int] = {}
+        self._deadline = deadline
         for q, target in edges:
             self.successors[q] = self.successors.get(q, 0) | 1 << target
             self.predecessors[target] = self.predecessors.get(target, 0) | 1 << q
 
     def reach(self, start: int, within: int = -1) -> int:
         """Vertices reachable from ``start`` by paths that stay in ``within`` (after the start)."""
+        if self._deadline is not None:
+            self._deadline.check(DOING)
         return _closure(self.successors, start, within)
 
     def reach_back(self, goal: int, within: int = -1) -> int:
         """Vertices from which ``goal`` is reachable by paths in ``within`` (before the goal)."""
+        if self._deadline is not None:
+            self._deadline.check(DOING)
         return _closure(self.predecessors, goal, within)
 
     def between(self, start: int, goal: int, allowed: int) -> int:
@@ -107,7 +121,10 @@ class _Graph:
 
     def component(self, v: int) -> int:
         """The strongly connected component of a vertex."""
-        return self.reach(1 << v) & self.reach_back(1 << v)
+        if v not in self._components:
+            component = self.reach(1 << v) & self.reach_back(1 << v)
+            self._components.update(dict.fromkeys(_bits(component), component))
+        return self._components[v]
 
     def entered(self, vertices: int) -> int:
         """The heads of all edges out of ``vertices``."""

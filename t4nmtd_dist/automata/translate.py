@@ -24,6 +24,7 @@ def translate(
     propositions: Sequence[str] | None = None,
     translator: Translator = "auto",
     time_limit: float = 30.0,
+    deadline: Deadline | None = None,
 ) -> DFA:
     """The minimal complete DFA of a formula over non-empty traces, the same from every translator.
 
@@ -32,6 +33,7 @@ def translate(
         propositions: the names that may occur; any if left out. The DFA has those that do occur, sorted.
         translator: ``mona``, ``python``, or ``auto``: MONA where it is installed, else Python.
         time_limit: seconds after which the translation gives up; parsing does not count.
+        deadline: in place of ``time_limit``, that of a compilation that this is part of.
 
     Raises:
         FormulaError: on a syntax error, an unknown proposition, more than 16 propositions, or a formula that
@@ -45,7 +47,7 @@ def translate(
     names = tuple(sorted(tree.propositions()))
     if len(names) > MAX_PROPOSITIONS:
         raise FormulaError(f"the formula has {len(names)} propositions; expected at most {MAX_PROPOSITIONS}")
-    deadline = Deadline.after(time_limit)
+    deadline = deadline or Deadline.after(time_limit)
     try:
         dfa = canonical_dfa(names, _automaton(tree, names, translator, deadline), deadline)
     except RecursionError:

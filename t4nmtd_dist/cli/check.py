@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Sequence
+from dataclasses import asdict
 from typing import Any
 
 from rich import box
@@ -63,6 +64,7 @@ def findings(task: CompiledTask, found: Survey) -> dict[str, Any]:
         "labels": {name: found.true_steps[name] / found.steps for name in found.propositions},
         "never_true": found.never_true,
         "exclusive_violations": [{"together": names, "steps": n} for names, n in found.together.items()],
+        "exclusive_suggestions": [asdict(suggestion) for suggestion in found.suggestions],
     }
 
 
@@ -72,6 +74,8 @@ def _print(console: Console, task: CompiledTask, found: Survey) -> None:
     console.print(_labels(task, found))
     for text in found.warnings:
         console.print(Text.assemble(("warning: ", "yellow"), text))
+    for suggestion in found.suggestions:
+        console.print(Text.assemble(("suggestion: ", "cyan"), suggestion.text(found.steps)))
     for text in found.problems:
         console.print(Text.assemble(("unusable: ", "bold red"), text))
     if not found.problems:

@@ -9,6 +9,7 @@ from typing import Annotated, Literal
 import tyro
 
 from t4nmtd_dist.action_modes import ActionMode
+from t4nmtd_dist.cli.completion import Completion
 from t4nmtd_dist.cli.key_commands import Keys
 from t4nmtd_dist.cli.options import RunOptions
 from t4nmtd_dist.devices import Device
@@ -84,6 +85,10 @@ class Inspect:
     """An LTLf formula in place of a task."""
     as_json: Annotated[bool, tyro.conf.arg(name="json")] = False
     """Print JSON for machines."""
+    summary: bool = False
+    """Print a summary that fits on a screen, as is done anyway for more than 60 states."""
+    full: bool = False
+    """Print every state and transition, however many there are."""
     svg: Path | None = None
     """Also draw the automaton into this file."""
     translator: Literal["auto", "mona", "python"] = "auto"
@@ -97,26 +102,33 @@ class Inspect:
         """Inspect."""
         from rich.console import Console
 
-        from t4nmtd_dist.cli.inspect import run_inspect
-        from t4nmtd_dist.config import DecompositionConfig
+        from t4nmtd_dist.cli.inspect import formula_task, run_inspect
         from t4nmtd_dist.errors import ConfigError
         from t4nmtd_dist.tasks import load_task
 
         if (self.task is None) == (self.formula is None):
             raise ConfigError("expected either --task NAME or --formula TEXT")
-        config = load_task(self.task, flags=self.set) if self.task is not None else None
-        settings = config.decomposition if config else DecompositionConfig()
+        if self.summary and (self.full or self.as_json):
+            raise ConfigError("--summary leaves out what --full and --json print; give one of the three")
+        if self.task is not None:
+            config = load_task(self.task, flags=self.set)
+        else:
+            config = formula_task(self.formula or "", self.set)
+        settings = config.decomposition
         run_inspect(
-            name=config.name if config else "formula",
-            title=config.title if config else "",
-            formula=config.formula if config else self.formula or "",
-            exclusive=config.exclusive if config else (),
-            propositions=config.propositions if config else None,
+            name=config.name,
+            title=config.title,
+            formula=config.formula,
+            exclusive=config.exclusive,
+            propositions=config.propositions,
             translator=self.translator,
-            acceptance=config.acceptance if config else "auto",
+            acceptance=config.acceptance,
             mode=settings.mode,
             prune=settings.prune,
+            keep=settings.keep,
             dist_mode=settings.dist,
+            time_limit=settings.time_limit,
+            summary=True if self.summary else False if self.full else None,
             as_json=self.as_json,
             svg=self.svg,
             console=Console(),
@@ -274,4 +286,4 @@ class Doctor:
         return examine(complete_endpoint(self.connect, CONTROL_PORT), self.keys, self.wait)
 
 
-Command = Train | Evaluate | Record | Plot | Inspect | Check | Tasks | Dashboard | Keys | Status | Doctor
+Command = Train | Evaluate | Record | Plot | Inspect | Check | Tasks | Dashboard | Keys | Status | Doctor | Completion

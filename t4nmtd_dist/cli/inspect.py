@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -15,16 +15,51 @@ from rich.text import Text
 
 from t4nmtd_dist.automata.acceptance import ACCEPTANCE_TEXT, Acceptance, task_automaton
 from t4nmtd_dist.automata.cubes import cube_text
+from t4nmtd_dist.automata.deadline import Deadline
 from t4nmtd_dist.automata.dfa import DFA
 from t4nmtd_dist.automata.drawing import draw_svg
+from t4nmtd_dist.automata.formula import names_in_order, parse
 from t4nmtd_dist.automata.reduction import ExclusiveGroups, reduce_automaton
 from t4nmtd_dist.automata.translate import Translator, translate
-from t4nmtd_dist.config import AcceptanceSetting
-from t4nmtd_dist.decomposition import Decomposition, Mode, decompose
+from t4nmtd_dist.cli.inspect_summary import left_out_lines, summary_lines
+from t4nmtd_dist.config import (
+    AcceptanceSetting,
+    DecompositionConfig,
+    TaskConfig,
+    merge,
+    settings_from_flags,
+    task_config,
+)
+from t4nmtd_dist.decomposition import Decomposition, Keep, Mode, decompose
 from t4nmtd_dist.errors import ConfigError
 from t4nmtd_dist.potential import DistanceMode, distances, potentials
 
 Inspection = dict[str, Any]
+
+MOST_STATES = 60
+"""Of an automaton whose full page is printed without being asked for."""
+MOST_DRAWN = 600
+"""Transitions of an automaton that is drawn: a picture of more takes minutes, and nobody could read it."""
+
+
+def formula_task(formula: str, flags: Sequence[str]) -> TaskConfig:
+    """A task that is a formula and settings, without an environment.
+
+    Args:
+        formula: LTLf.
+        flags: ``key=value`` settings, as of a task.
+
+    Raises:
+        FormulaError: on a syntax error.
+        ConfigError: on an unknown setting or one out of range.
+    """
+    base = {
+        "name": "formula",
+        "formula": formula,
+        "propositions": sorted(parse(formula).propositions()),
+        "environment": {"id": "none", "horizon": 1},
+    }
+    return task_config(merge(base, settings_from_flags(flags)), source="--set")
 
 
 def run_inspect(
@@ -42,6 +77,9 @@ def run_inspect(
     as_json: bool,
     svg: Path | None,
     console: Console,
+    keep: Keep = DecompositionConfig.keep,
+    time_limit: float = DecompositionConfig.time_limit,
+    summary: bool | None = None,
 ) -> None:
     """Translate a formula and show what becomes of it.
 
@@ -59,20 +97,40 @@ def run_inspect(
         as_json: print the inspection as one JSON object in place of the page.
         svg: write a picture of the automaton to this file.
         console: where to print.
+        keep: which sub-tasks remain.
+        time_limit: seconds that all of it may take, the picture excepted.
+        summary: print the summary in place of the page; None for automata of more than 60 states.
 
     Raises:
-        T4NMTDError: if the formula, the settings or the file cannot be used.
+        T4NMTDError: if the formula, the settings or the file cannot be used, or the time is up.
     """
-    automaton = translate(formula, propositions=propositions, translator=translator)
+    deadline = Deadline.after(time_limit)
+    automaton = translate(formula, propositions=propositions, translator=translator, deadline=deadline)
     dfa, accepts = task_automaton(automaton, acceptance, exclusive)
-    decomposition = decompose(dfa, exclusive=exclusive, mode=mode, prune=prune)
-    found = inspection(dfa, exclusive=exclusive, dist_mode=dist_mode, decomposition=decomposition, acceptance=accepts)
+    decomposition = decompose(
+        dfa,
+        exclusive=exclusive,
+        mode=mode,
+        prune=prune,
+        keep=keep,
+        order=names_in_order(formula),
+        deadline=deadline,
+    )
+    found = inspection(
+        dfa,
+        exclusive=exclusive,
+        dist_mode=dist_mode,
+        decomposition=decomposition,
+        acceptance=accepts,
+        deadline=deadline,
+    )
     if svg is not None:
+        _check_drawable(dfa)
         _write(svg, draw_svg(dfa, decomposition))
     if as_json:
         console.out(json.dumps(found, indent=1), highlight=False)
         return
-    print_inspection(console, f"{name}: {title}" if title else name, formula, found)
+    _print_page(console, f"{name}: {title}" if title else name, formula, found, summary)
     if svg is not None:
         console.print(Text(f"Picture written to {svg}"))
 
@@ -84,6 +142,7 @@ def inspection(
     dist_mode: DistanceMode,
     decomposition: Decomposition,
     acceptance: Acceptance = "first",
+    deadline: Deadline | None = None,
 ) -> Inspection:
     """All that ``inspect`` shows, ready for JSON.
 
@@ -92,10 +151,14 @@ def inspection(
         ``initial``, ``accepting``, ``error``, ``edges`` (source, target and guard: a list of cubes, each a list of
         literals), ``dist`` and ``potential`` (by state as text; dist is null where acceptance is out of reach), and
         ``subtasks`` (pid to [[q, q'], ...]). Where ``exclusive`` makes the automaton smaller, ``reduced`` says how
-        many states and transitions are left.
+        many states and transitions are left; where sub-tasks were dropped, ``left_out`` names them.
+
+    Raises:
+        ConfigError: if the deadline passes.
     """
     reduced = reduce_automaton(dfa, exclusive)
-    dist = distances(dfa, exclusive=exclusive, mode=dist_mode)
+    dist = distances(dfa, exclusive=exclusive, mode=dist_mode, deadline=deadline)
+    dfa.find_edges(deadline)
     found: Inspection = {
         "acceptance": acceptance,
         **dfa.to_json(),
@@ -107,7 +170,28 @@ def inspection(
     left = {"states": len(reduced.states), "transitions": len(reduced.transitions)}
     if left != {key: found[key] for key in left}:
         found["reduced"] = left
+    if decomposition.left_out:
+        found["left_out"] = list(decomposition.left_out)
     return found
+
+
+def _check_drawable(dfa: DFA) -> None:
+    if len(dfa.edges) > MOST_DRAWN:
+        raise ConfigError(
+            f"--svg: the automaton has {len(dfa.edges)} transitions; at most {MOST_DRAWN} can be drawn. Declare "
+            "exclusive groups or leave out --svg; --summary shows automata of any size"
+        )
+
+
+def _print_page(console: Console, title: str, formula: str, found: Inspection, summary: bool | None) -> None:
+    """The summary if it was asked for (True) or the automaton is large (None), else the full page."""
+    if summary is False or (summary is None and found["states"] <= MOST_STATES):
+        print_inspection(console, title, formula, found)
+        return
+    for line in summary_lines(title, formula, found, console.width):
+        console.print(Text(line), no_wrap=True)
+    if summary is None:
+        console.print(Text(f"This is the summary, for more than {MOST_STATES} states; --full prints the full page."))
 
 
 def print_inspection(console: Console, title: str, formula: str, found: Inspection) -> None:
@@ -127,6 +211,8 @@ def print_inspection(console: Console, title: str, formula: str, found: Inspecti
     console.print(_states(found))
     console.print(_edges(found))
     console.print(_subtasks(found))
+    for line in left_out_lines(found, console.width):
+        console.print(Text(line))
 
 
 def _summary(found: Inspection) -> str:
@@ -151,6 +237,10 @@ def _table(title: str, *columns: str, right: Sequence[str] = ()) -> Table:
 
 def _states(found: Inspection) -> Table:
     table = _table("States", "q", "role", "dist", "rho", "sub-tasks", right=("q", "dist", "rho"))
+    able: dict[int, dict[str, None]] = {}
+    for pid, taus in found["subtasks"].items():
+        for q, _ in taus:
+            able.setdefault(q, {})[pid] = None
     for q in range(found["states"]):
         dist = found["dist"][str(q)]
         role = _role(found, q)
@@ -159,7 +249,7 @@ def _states(found: Inspection) -> Table:
             role,
             "-" if dist is None else f"{dist:.4g}",
             f"{found['potential'][str(q)]:.2f}",
-            ", ".join(pid for pid, taus in found["subtasks"].items() if any(s == q for s, _ in taus)),
+            ", ".join(able.get(q, ())),
             style={"accepting": "green", "error": "dim", "out of reach": "dim"}.get(role),
         )
     return table
@@ -178,10 +268,14 @@ def _role(found: Inspection, q: int) -> str:
 def _edges(found: Inspection) -> Table:
     """Every edge with one cube of its guard per line, and the sub-tasks that it belongs to."""
     table = _table("Transitions", "q", "q'", "guard", "sub-tasks", right=("q", "q'"))
+    owning: dict[tuple[int, int], list[str]] = {}
+    for pid, taus in found["subtasks"].items():
+        for source, to in taus:
+            owning.setdefault((source, to), []).append(pid)
     for edge in found["edges"]:
         q, target = edge["source"], edge["target"]
         guard = "\n".join(cube_text(tuple(cube)) for cube in edge["guard"])
-        owners = [pid for pid, taus in found["subtasks"].items() if [q, target] in taus]
+        owners = owning.get((q, target), [])
         table.add_row(str(q), str(target), Text(guard), ", ".join(owners), style=None if owners else "dim")
     return table
 
@@ -195,7 +289,9 @@ def _subtasks(found: Inspection) -> Table:
 
 def _targets(taus: Sequence[Sequence[int]]) -> str:
     """``q → {q', ...}`` for every q that a sub-task has a transition out of."""
-    targets: Mapping[int, list[int]] = {q: [to for s, to in taus if s == q] for q in sorted({q for q, _ in taus})}
+    targets: dict[int, list[int]] = {}
+    for q, to in sorted(map(tuple, taus)):
+        targets.setdefault(q, []).append(to)
     return "   ".join(f"{q} → {{{', '.join(map(str, to))}}}" for q, to in targets.items())
 
 

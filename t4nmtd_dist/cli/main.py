@@ -4,17 +4,18 @@ from __future__ import annotations
 
 import os
 import sys
-
-import tyro
+from typing import get_args
 
 from t4nmtd_dist.cli.commands import Command
+from t4nmtd_dist.cli.entry import check_verb, parse
 from t4nmtd_dist.errors import T4NMTDError
 
 
 def main() -> None:
     """Parse the command line, run the subcommand, and exit with its code; 2 for anything a user can mend."""
     os.environ.setdefault("OMP_NUM_THREADS", "1")  # before torch is imported
-    command = tyro.cli(Command, prog="t4nmtd", description="Learn tasks with memory.")
+    check_verb([verb.__name__.lower() for verb in get_args(Command)])
+    command = parse(Command, "t4nmtd", "Learn tasks with memory.")
     try:
         code = command.run()
     except T4NMTDError as error:

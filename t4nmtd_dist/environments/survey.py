@@ -9,6 +9,7 @@ from dataclasses import dataclass, field
 from t4nmtd_dist.automata.acceptance import LAST
 from t4nmtd_dist.compiled import CompiledTask
 from t4nmtd_dist.environments.copies import EnvironmentCopy
+from t4nmtd_dist.environments.exclusive import Suggestion, suggestions
 from t4nmtd_dist.environments.preparation import check_fit, slowness
 from t4nmtd_dist.environments.restoring import Choice, choose_snapshots, chosen
 from t4nmtd_dist.errors import T4NMTDError, WorldError
@@ -34,6 +35,8 @@ class Survey:
         endings: episodes by how they ended: accepted, error, terminated, truncated, horizon.
         true_steps: steps on which each proposition held.
         together: how often each set of names that an exclusive group forbids was seen.
+        seen: how often each set of true propositions was seen.
+        suggestions: groups that might be declared exclusive.
         steps_per_s: one copy, labels included.
         problems: what makes the task unusable.
         warnings: what deserves a look.
@@ -51,6 +54,8 @@ class Survey:
     endings: Counter[str] = field(default_factory=Counter)
     true_steps: Counter[str] = field(default_factory=Counter)
     together: Counter[tuple[str, ...]] = field(default_factory=Counter)
+    seen: Counter[frozenset[str]] = field(default_factory=Counter)
+    suggestions: list[Suggestion] = field(default_factory=list)
     steps_per_s: float = 0.0
     problems: list[str] = field(default_factory=list)
     warnings: list[str] = field(default_factory=list)
@@ -84,6 +89,7 @@ def survey(task: CompiledTask, *, steps: int, seed: int) -> Survey:
     except Exception as error:  # whatever a user's environment may raise
         raise WorldError(f"environment {config.environment.id!r} raised {type(error).__name__}: {error}") from error
     _judge(task, found)
+    found.suggestions = suggestions(task, found.seen)
     return found
 
 
@@ -122,6 +128,7 @@ def _episode(task: CompiledTask, copy: EnvironmentCopy, found: Survey, steps: in
         names = [name for name, holds in zip(copy.propositions, step.labels, strict=True) if holds]
         found.steps += 1
         found.true_steps.update(names)
+        found.seen[frozenset(names)] += 1
         for group in task.config.exclusive:
             both = tuple(name for name in names if name in group)
             found.together.update([both] if len(both) > 1 else [])

@@ -13,6 +13,7 @@ from pathlib import Path
 
 from t4nmtd_dist.errors import ConfigError, RunError
 from t4nmtd_dist.runs.directory import ENDPOINTS_FILE
+from t4nmtd_dist.runs.file_names import file_name
 
 START_DEADLINE_S = 60.0
 END_DEADLINE_S = 20.0  # time in which workers write their last checkpoints; most need a second
@@ -40,7 +41,7 @@ def dealt(pids: Sequence[str], workers: int | None) -> dict[str, list[str]]:
 
 def _name_of(hand: Sequence[str], number: int) -> str:
     """The sub-tasks' names; a number where these are too long for the name of a log."""
-    joined = "+".join(pid.replace("~", "not-") for pid in hand)
+    joined = "+".join(map(file_name, hand))
     return joined if len(joined) <= LONGEST_NAME else f"worker-{number}"
 
 

@@ -19,6 +19,7 @@ import tomli_w
 
 from t4nmtd_dist.config import TaskConfig
 from t4nmtd_dist.errors import RunError
+from t4nmtd_dist.runs.file_names import file_name
 from t4nmtd_dist.runs.versions import versions
 
 CONFIG_FILE = "config.toml"
@@ -192,7 +193,7 @@ class RunDirectory:
 
     def append_metrics(self, name: str, row: Mapping[str, Any]) -> None:
         """Append a row to ``metrics/<name>.csv``; the first row decides the columns."""
-        path, text = self.path / "metrics" / f"{name}.csv", io.StringIO(newline="")
+        path, text = self.path / "metrics" / f"{file_name(name)}.csv", io.StringIO(newline="")
         writer = csv.DictWriter(text, fieldnames=list(row))
         if not path.exists() or not path.stat().st_size:
             writer.writeheader()

@@ -14,6 +14,7 @@ from pathlib import Path
 from typing import Any, Literal
 
 from t4nmtd_dist.errors import ConfigError
+from t4nmtd_dist.runs.file_names import file_name
 
 TensorBoard = Literal["auto", "on", "off"]
 HOW_TO_GET_IT = "pip install 't4nmtd-dist[tensorboard]'"
@@ -98,7 +99,7 @@ class EventFiles:
         self._writers[group].flush()
 
     def _begin(self, group: str) -> None:
-        path = self._folder / group / self._name
+        path = self._folder / file_name(group) / self._name
         path.parent.mkdir(parents=True, exist_ok=True)
         fresh = not path.exists()
         self._writers[group] = self._record_writer(path.open("ab"))

@@ -13,6 +13,7 @@ import msgspec
 from t4nmtd_dist.config import TaskConfig, read_toml, task_config
 from t4nmtd_dist.errors import ConfigError, RunError
 from t4nmtd_dist.runs.directory import CHECKPOINTS_FOLDER, CONFIG_FILE, SUMMARY_FILE, read_summary, write_atomically
+from t4nmtd_dist.runs.file_names import file_name
 from t4nmtd_dist.runs.state_tree import State
 
 IDENTITY_FILE = "run.json"
@@ -85,6 +86,7 @@ def read_stopped_run(run: Path) -> StoppedRun:
         settings = read_toml(run / CONFIG_FILE)
         seed = settings.pop("seed")
         settings.setdefault("evaluation", {}).setdefault("actions", "greedy")  # older runs knew nothing else
+        settings.setdefault("decomposition", {}).setdefault("keep", "all")  # a run from before there was a choice
         config = task_config(settings, source=str(run / CONFIG_FILE))
         told = json.loads((run / CHECKPOINTS_FOLDER / IDENTITY_FILE).read_text(encoding="utf-8"))
         identity = msgspec.convert(told, Identity)
@@ -98,8 +100,8 @@ def read_stopped_run(run: Path) -> StoppedRun:
 
 
 def checkpoint_folder(checkpoints: Path, place: str) -> Path:
-    """Where the checkpoints of a sub-task's learner are; ``~p1`` is ``not-p1`` in file names."""
-    name = place.replace("~", "not-")
+    """Where the checkpoints of a sub-task's learner are."""
+    name = file_name(place)
     return checkpoints / (f"{name}-learner" if name in (COORDINATOR, SERIAL) else name)
 
 

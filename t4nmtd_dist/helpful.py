@@ -1,0 +1,86 @@
+"""Which sub-tasks deserve a learner: those that bring acceptance nearer, one for each set of transitions.
+
+Both rules are ours (docs/decisions/019); with ``keep = "all"`` neither applies, as in the paper.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Collection, Mapping, Sequence
+
+import numpy as np
+
+from t4nmtd_dist.automata.acceptance import unfulfilled_states
+from t4nmtd_dist.automata.cubes import TruthTable
+from t4nmtd_dist.automata.deadline import Deadline
+from t4nmtd_dist.automata.dfa import DFA
+from t4nmtd_dist.automata.reduction import Transition, shortest_distances
+
+SubTasks = Mapping[str, Sequence[Transition]]
+
+
+def without_useless(
+    subtasks: SubTasks, dfa: DFA, accepting: Collection[int], allowed: TruthTable, deadline: Deadline | None = None
+) -> dict[str, Sequence[Transition]]:
+    """Leave out the sub-tasks whose literal never brings acceptance nearer.
+
+    Distances count the transitions of ``subtasks`` alone. A literal helps with a transition (q, q') if q' is nearer
+    to acceptance than q, and some letter that takes the transition would lead less near without the literal. A
+    sub-task that helps with no transition goes, unless some state would then be left without a transition that
+    brings acceptance nearer.
+
+    Args:
+        subtasks: pid -> its transitions, dealt by objectives.
+        dfa: the task automaton.
+        accepting: the reachable part of F.
+        allowed: letters that can occur, shape (2**|AP|,).
+        deadline: of the compilation.
+    """
+    distances = shortest_distances(
+        {tau for taus in subtasks.values() for tau in taus}, accepting, unfulfilled_states(dfa)
+    )
+    dist = np.array([distances.get(q, math.inf) for q in range(dfa.states)])
+    useless = [pid for pid in sorted(subtasks) if not _helps(pid, subtasks[pid], dfa, dist, allowed, deadline)]
+    kept = dict(subtasks)
+    for pid in useless:
+        fewer = {other: taus for other, taus in kept.items() if other != pid}
+        if _advancing(fewer, dist) == _advancing(kept, dist):
+            kept = fewer
+    return kept
+
+
+def merged(subtasks: SubTasks, order: Sequence[str] = ()) -> dict[str, Sequence[Transition]]:
+    """Sub-tasks with equal transitions as one, named ``a&b`` in the given order, names that it lacks at the end."""
+    places = {name: place for place, name in enumerate(order)}
+    names: dict[frozenset[Transition], list[str]] = {}
+    ordered = sorted(subtasks, key=lambda pid: (places.get(pid.removeprefix("~"), len(places)), pid))
+    for pid, taus in ((pid, subtasks[pid]) for pid in ordered):
+        names.setdefault(frozenset(taus), []).append(pid)
+    return {"&".join(pids): sorted(taus) for taus, pids in names.items()}
+
+
+def _helps(
+    pid: str,
+    taus: Sequence[Transition],
+    dfa: DFA,
+    dist: np.ndarray[tuple[int], np.dtype[np.float64]],
+    allowed: TruthTable,
+    deadline: Deadline | None,
+) -> bool:
+    """Whether a literal (or ``tick``, which has none) helps with at least one of its transitions."""
+    bit = dfa.letter([pid.removeprefix("~")])
+    letters = np.arange(allowed.size)
+    usable = allowed & allowed[letters ^ bit] & (((letters & bit) > 0) != pid.startswith("~"))
+    for q, target in taus:
+        if deadline is not None:
+            deadline.check("choosing sub-tasks")
+        if dist[target] < dist[q]:
+            taking = letters[usable & dfa.letters(q, target)]
+            if not bit or (dist[dfa.delta[q, taking ^ bit]] > dist[target]).any():
+                return True
+    return False
+
+
+def _advancing(subtasks: SubTasks, dist: np.ndarray[tuple[int], np.dtype[np.float64]]) -> set[int]:
+    """The states from which some sub-task brings acceptance nearer."""
+    return {q for taus in subtasks.values() for q, target in taus if dist[target] < dist[q]}
