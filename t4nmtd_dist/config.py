@@ -36,6 +36,7 @@ class EnvironmentConfig:
             time that workers see it.
         snapshots: how states are saved and restored; ``auto`` tries the others in this order and checks each.
         snapshot_bytes: room of a snapshot, 0 for what the check found; ``replay`` takes what the horizon needs.
+        leave_out: keys of a Dict observation that are not learned from, such as texts; the labelling function sees them.
     """
 
     id: str
@@ -45,6 +46,7 @@ class EnvironmentConfig:
     path: str = ""
     snapshots: Literal["auto", "own", "mujoco", "attributes", "replay"] = "auto"
     snapshot_bytes: int = 0
+    leave_out: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True)

@@ -53,7 +53,9 @@ def test_what_the_task_file_gives_is_kept(tmp_path: Path) -> None:
 
 
 def test_settings_made_in_a_program_are_kept() -> None:
-    base = task_config({"name": "t", "formula": "F(a)", "propositions": ["a"], "environment": {"id": "x", "horizon": 1}})
+    base = task_config(
+        {"name": "t", "formula": "F(a)", "propositions": ["a"], "environment": {"id": "x", "horizon": 1}}
+    )
     made = TaskConfig(base.name, base.formula, base.propositions, base.environment, learner=LearnerConfig(gamma=0.5))
     chosen = made.with_algorithm("sac").learner
     assert (chosen.gamma, chosen.shaping, chosen.algorithm) == (0.5, "subtask", "sac")
