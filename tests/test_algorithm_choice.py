@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import json
+import subprocess
+import sys
 import tomllib
 from pathlib import Path
 
@@ -11,12 +13,13 @@ from small_tasks import TINY, own_task
 
 from coordinator.state import RunSettings
 from t4nmtd_dist.cli.check import check
-from t4nmtd_dist.cli.main import main
 from t4nmtd_dist.compiled import CompiledTask, compile_task
-from t4nmtd_dist.config import LearnerConfig, TaskConfig, task_config
+from t4nmtd_dist.config import EnvironmentConfig, LearnerConfig, TaskConfig, task_config
+from t4nmtd_dist.environments.decisions import with_algorithm
 from t4nmtd_dist.environments.preparation import prepared
 from t4nmtd_dist.errors import WorldError
 from t4nmtd_dist.launch.serial import SerialRun
+from t4nmtd_dist.runs.resuming import read_stopped_run
 from t4nmtd_dist.tasks import load_task, task_names
 
 ROOT = Path(__file__).parent.parent
@@ -53,11 +56,8 @@ def test_what_the_task_file_gives_is_kept(tmp_path: Path) -> None:
 
 
 def test_settings_made_in_a_program_are_kept() -> None:
-    base = task_config(
-        {"name": "t", "formula": "F(a)", "propositions": ["a"], "environment": {"id": "x", "horizon": 1}}
-    )
-    made = TaskConfig(base.name, base.formula, base.propositions, base.environment, learner=LearnerConfig(gamma=0.5))
-    chosen = made.with_algorithm("sac").learner
+    made = TaskConfig("t", "F(a)", ("a",), EnvironmentConfig("x", 1), learner=LearnerConfig(gamma=0.5))
+    chosen = with_algorithm(made, "sac").learner
     assert (chosen.gamma, chosen.shaping, chosen.algorithm) == (0.5, "subtask", "sac")
 
 
@@ -107,19 +107,26 @@ def test_both_kinds_train_in_lock_step(tmp_path: Path) -> None:
         assert sum(session.learner.gradient_steps for session in run.sessions.values()) > 0
 
 
-def test_a_run_writes_down_what_was_chosen(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def train(*arguments: str) -> int:
+    command = [sys.executable, "-m", "t4nmtd_dist.cli.main", "train", "--serial", *arguments]
+    return subprocess.run(command, capture_output=True, text=True, timeout=90).returncode
+
+
+def test_a_run_writes_down_what_was_chosen_and_goes_on_with_it(tmp_path: Path) -> None:
     path, run = own_task(tmp_path, PUSHED), tmp_path / "run"
-    command = f"t4nmtd train --task {path} --serial --max-interactions 200 --run-dir {run} --set learner.hidden=[8]"
-    monkeypatch.setattr("sys.argv", command.split())
-    with pytest.raises(SystemExit) as ended:
-        main()
-    assert ended.value.code == 3
+    flags = ("--set", "learner.hidden=[8]", "--max-interactions", "200")
+    assert train("--task", str(path), "--run-dir", str(run), *flags) == 3
     written = tomllib.loads((run / "config.toml").read_text(encoding="utf-8"))["learner"]
     assert (written["algorithm"], written["gamma"], written["hidden"]) == ("sac", 0.98, [8])
     assert written["normalise_observations"] == "on"
-    resumed = f"t4nmtd train --resume {run} --serial --max-interactions 400"
-    monkeypatch.setattr("sys.argv", resumed.split())
-    with pytest.raises(SystemExit) as ended:
-        main()
-    assert ended.value.code == 3
+    assert train("--resume", str(run), "--max-interactions", "400") == 3
     assert tomllib.loads((run / "config.toml").read_text(encoding="utf-8"))["learner"] == written
+
+
+def test_runs_of_before_there_was_normalisation_go_on_without(tmp_path: Path) -> None:
+    path, run = own_task(tmp_path, PUSHED), tmp_path / "run"
+    flags = ("--set", "learner.hidden=[8]", "--set", "learner.normalise_observations=off", "--max-interactions", "200")
+    assert train("--task", str(path), "--run-dir", str(run), *flags) == 3
+    text = (run / "config.toml").read_text(encoding="utf-8")
+    (run / "config.toml").write_text(text.replace('normalise_observations = "off"\n', ""), encoding="utf-8")
+    assert read_stopped_run(run).config.learner.normalise_observations == "off"

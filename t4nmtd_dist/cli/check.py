@@ -47,6 +47,7 @@ def findings(task: CompiledTask, found: Survey) -> dict[str, Any]:
         "observation_space": found.observation_space,
         "observation_size": found.observation_size,
         "action_space": found.action_space,
+        "algorithm": found.learner.algorithm,
         "snapshots": {
             "adapter": found.snapshots.adapter,
             "bytes": found.snapshots.room,
@@ -81,10 +82,12 @@ def _facts(task: CompiledTask, found: Survey) -> Table:
     endings = ", ".join(f"{name} {count}" for name, count in sorted(found.endings.items())) or "none yet"
     play = f"{found.steps} steps at {found.steps_per_s:,.0f} a second, {found.episodes} episodes"
     subtasks = ", ".join(f"{pid} ({len(taus)})" for pid, taus in task.decomposition.subtasks.items())
+    chosen = task.config.learner.algorithm == "auto"
     rows = {
         "environment": found.environment,
         "observations": f"{found.observation_space}: {found.observation_size} numbers",
         "actions": found.action_space,
+        "algorithm": found.learner.algorithm + (", which these actions call for" if chosen else ""),
         "snapshots": f"restore exactly by {choice.adapter!r}" + (f", {choice.room} bytes" if choice.room else ""),
         **{f"  not by {adapter!r}": reason for adapter, reason in choice.failures.items()},
         "automaton": f"{task.dfa.states} states, {len(task.dfa.edges)} transitions",

@@ -162,9 +162,10 @@ def _one_hots(name: str, first: NDArray[np.int64], counts: NDArray[np.int64]) ->
         wrong = np.flatnonzero((index < 0) | (index >= counts) | (index != np.floor(index)))
         if len(wrong):
             i = wrong[0]
+            declared = f"{first[i]}..{first[i] + counts[i] - 1}"
             raise WorldError(
-                f"the environment observed {numbers[i]} in {name}, which is not in {first[i]}..{first[i] + counts[i] - 1}, "
-                "the whole numbers that its space declares; correct the space or the observation"
+                f"the environment observed {numbers[i]} in {name}, which is not in {declared}, the whole numbers that "
+                "its space declares; correct the space or the observation"
             )
         row: Vector = np.zeros(size, np.float32)
         row[offsets + index.astype(np.int64)] = 1.0

@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+import dataclasses
 import time
 from collections import Counter
 from dataclasses import dataclass, field
 
 from t4nmtd_dist.compiled import CompiledTask
+from t4nmtd_dist.config import LearnerConfig
 from t4nmtd_dist.environments.copies import EnvironmentCopy
+from t4nmtd_dist.environments.decisions import decided
 from t4nmtd_dist.environments.preparation import check_fit, slowness
 from t4nmtd_dist.environments.restoring import Choice, choose_snapshots, chosen
 from t4nmtd_dist.errors import T4NMTDError, WorldError
@@ -23,6 +26,7 @@ class Survey:
         environment: the environment with its wrappers, as it prints itself.
         observation_space, action_space: as they print themselves.
         observation_size: numbers in an observation as the networks see it.
+        learner: its settings, with everything decided that was left to the environment.
         propositions: all that may be reported.
         snapshots: the adapter that restores exactly.
         steps, episodes: how many were taken.
@@ -38,6 +42,7 @@ class Survey:
     observation_space: str
     action_space: str
     observation_size: int
+    learner: LearnerConfig
     propositions: tuple[str, ...]
     snapshots: Choice
     steps: int = 0
@@ -70,7 +75,8 @@ def survey(task: CompiledTask, *, steps: int, seed: int) -> Survey:
     try:
         choice = choose_snapshots(config.environment, config.propositions, trials=MORE_TRIALS)
         copy = EnvironmentCopy(chosen(config.environment, choice), config.propositions)
-        found = _described(copy, choice)
+        task = dataclasses.replace(task, config=decided(config, copy.action_space))
+        found = _described(copy, task.config.learner, choice)
         _fits(task, copy, found)
         _act(task, copy, found, steps, seed)
     except T4NMTDError:
@@ -81,12 +87,13 @@ def survey(task: CompiledTask, *, steps: int, seed: int) -> Survey:
     return found
 
 
-def _described(copy: EnvironmentCopy, choice: Choice) -> Survey:
+def _described(copy: EnvironmentCopy, learner: LearnerConfig, choice: Choice) -> Survey:
     return Survey(
         str(copy.env),
         str(copy.env.observation_space),
         str(copy.action_space),
         copy.observation_size,
+        learner,
         copy.propositions,
         choice,
     )

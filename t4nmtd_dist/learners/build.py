@@ -9,6 +9,7 @@ import numpy as np
 from t4nmtd_dist.compiled import CompiledTask
 from t4nmtd_dist.devices import Device
 from t4nmtd_dist.environments.action_spaces import action_bounds, action_count
+from t4nmtd_dist.errors import ConfigError
 from t4nmtd_dist.high_level import QTable
 from t4nmtd_dist.initial_state_buffer import InitialStateBuffer
 from t4nmtd_dist.learners.attempts import Attempts
@@ -37,9 +38,12 @@ def build_learner(
 
     Raises:
         WorldError: if the environment cannot be opened, or its spaces or propositions do not fit.
+        ConfigError: if the algorithm has not been decided (``environments.preparation.prepared`` does).
     """
     config = task.config
     settings = config.learner
+    if settings.algorithm == "auto":
+        raise ConfigError('learner.algorithm = "auto" is not decided yet: pass the task through prepared() first')
     tables = subtask_tables(
         task.dfa,
         task.decomposition,
