@@ -229,3 +229,19 @@ class Pushed(Corridor):
 
     def observe(self) -> Any:
         return np.array([1000 * self.place / (LENGTH - 1)], np.float32)
+
+
+WAY = (RIGHT, LEFT, LEFT, RIGHT, LEFT, RIGHT)
+
+
+class Winding(Offset):
+    """The way on is another action at every place, so that a policy must tell the places apart."""
+
+    def reset(self, **options: Any) -> tuple[Any, dict[str, Any]]:
+        super().reset(**options)
+        self.place = 0
+        return self.observe(), self.info()
+
+    def step(self, action: int) -> tuple[Any, float, bool, bool, dict[str, Any]]:
+        self.place += int(self.place < len(WAY) and action == WAY[self.place])
+        return self.observe(), 0.0, False, False, self.info()

@@ -56,12 +56,13 @@ def build_learner(
     count = config.sac.worlds if settings.algorithm == "sac" else config.ppo.worlds
     world = make_world(config.environment, count, config.propositions)
     attempts = _attempts(task, tables, world, buffer, seed)
+    normalised = ~world.categorical if settings.normalise_observations == "on" else None
     if settings.algorithm == "ppo":
         actions = action_count(world.action_space, config.environment.id)
         states = task.dfa.states
         return PPOLearner(
             pid, attempts, settings, config.ppo, high_level,
-            dfa_states=states, actions=actions, seed=seed, device=device,
+            dfa_states=states, actions=actions, seed=seed, device=device, normalised=normalised,
         )  # fmt: skip
     bounds = action_bounds(world.action_space, config.environment.id)
     from t4nmtd_dist.learners.sac import SACLearner
@@ -69,7 +70,7 @@ def build_learner(
     delta = task.dfa.delta
     return SACLearner(
         pid, attempts, tables, delta, settings, config.sac, high_level,
-        bounds=bounds, seed=seed, peers=len(task.decomposition.pids) - 1, device=device,
+        bounds=bounds, seed=seed, peers=len(task.decomposition.pids) - 1, device=device, normalised=normalised,
     )  # fmt: skip
 
 
