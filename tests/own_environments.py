@@ -231,11 +231,11 @@ class Pushed(Corridor):
         return np.array([1000 * self.place / (LENGTH - 1)], np.float32)
 
 
-WAY = (RIGHT, LEFT, LEFT, RIGHT, LEFT, RIGHT)
+WAY = (RIGHT, RIGHT, RIGHT, LEFT, LEFT, LEFT)
 
 
 class Winding(Offset):
-    """The way on is another action at every place, so that a policy must tell the places apart."""
+    """The way turns in the middle, so that a policy must tell the places apart."""
 
     def reset(self, **options: Any) -> tuple[Any, dict[str, Any]]:
         super().reset(**options)

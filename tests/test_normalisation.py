@@ -266,12 +266,21 @@ def test_a_resumed_run_is_equal_bit_for_bit(name: str, tmp_path: Path) -> None:
 # What it is for
 
 
-def evaluations(folder: Path, setting: str, rounds: int) -> float:
-    """Success of the last evaluation of a run that is solved by then, or has had so many rounds."""
-    flags = ("evaluation.every=2000", "evaluation.episodes=4", f"learner.normalise_observations={setting}")
-    run = SerialRun(task_of("Offset", folder, "learner.gamma=0.95", *flags), RunSettings(1, 10**9), float)
-    for _ in range(rounds):
-        run.round()
-        if run.coordinator.outcome == "solved":
-            break
-    return run.coordinator.evaluations.history[-1].success_rate
+def run_of_winding(setting: str, folder: Path) -> SerialRun:
+    """A run on places observed as 500, 600, ..., until solved or 10,000 interactions are spent."""
+    flags = ('formula="F(right)"', "environment.horizon=8", "learner.attempt_steps=12", "learner.gamma=0.9")
+    often = ("evaluation.every=1000", "evaluation.episodes=2", "evaluation.in_a_row=2", "ppo.learning_rate=3e-3")
+    task = task_of("Winding", folder, *flags, *often, f"learner.normalise_observations={setting}")
+    run = SerialRun(task, RunSettings(0, 10_000), float)
+    for _ in run.steps():
+        pass
+    return run
+
+
+def test_large_numbers_are_learned_from_with_normalisation_and_not_without(tmp_path: Path) -> None:
+    """With it the first two evaluations are perfect (seeds 0 to 5); without it none is after ten times as long."""
+    on, off = run_of_winding("on", tmp_path), run_of_winding("off", tmp_path)
+    assert on.coordinator.outcome == "solved"
+    assert on.coordinator.interactions < 5000
+    assert off.coordinator.outcome == "budget spent"
+    assert max(row.success_rate for row in off.coordinator.evaluations.history) == 0.0
