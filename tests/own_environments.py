@@ -245,3 +245,10 @@ class Winding(Offset):
     def step(self, action: int) -> tuple[Any, float, bool, bool, dict[str, Any]]:
         self.place += int(self.place < len(WAY) and action == WAY[self.place])
         return self.observe(), 0.0, False, False, self.info()
+
+
+class Wavering(Offset):
+    """Its place as a large number that is not whole, without bounds."""
+
+    def observe(self) -> Any:
+        return np.array([500.5 + 100.25 * self.place], np.float32)
