@@ -11,9 +11,11 @@ from t4nmtd_dist.compiled import CompiledTask
 from t4nmtd_dist.config import LearnerConfig
 from t4nmtd_dist.environments.copies import EnvironmentCopy
 from t4nmtd_dist.environments.decisions import decided
+from t4nmtd_dist.environments.observation_range import ObservationRange
 from t4nmtd_dist.environments.preparation import check_fit, slowness
 from t4nmtd_dist.environments.restoring import Choice, choose_snapshots, chosen
 from t4nmtd_dist.errors import T4NMTDError, WorldError
+from t4nmtd_dist.tasks import is_packages_environment
 
 MORE_TRIALS = 20
 
@@ -29,6 +31,7 @@ class Survey:
         learner: its settings, with everything decided that was left to the environment.
         propositions: all that may be reported.
         snapshots: the adapter that restores exactly.
+        observations: what they were like.
         steps, episodes: how many were taken.
         endings: episodes by how they ended: accepted, error, terminated, truncated, horizon.
         true_steps: steps on which each proposition held.
@@ -45,6 +48,7 @@ class Survey:
     learner: LearnerConfig
     propositions: tuple[str, ...]
     snapshots: Choice
+    observations: ObservationRange
     steps: int = 0
     episodes: int = 0
     endings: Counter[str] = field(default_factory=Counter)
@@ -53,6 +57,12 @@ class Survey:
     steps_per_s: float = 0.0
     problems: list[str] = field(default_factory=list)
     warnings: list[str] = field(default_factory=list)
+
+    @property
+    def normalised(self) -> bool:
+        """Whether learners normalise numbers of the observations."""
+        numbers = any(not part.one_hot for part in self.observations.parts)
+        return numbers and self.learner.normalise_observations == "on"
 
     @property
     def never_true(self) -> list[str]:
@@ -96,6 +106,7 @@ def _described(copy: EnvironmentCopy, learner: LearnerConfig, choice: Choice) ->
         learner,
         copy.propositions,
         choice,
+        ObservationRange(copy.parts),
     )
 
 
@@ -115,11 +126,12 @@ def _act(task: CompiledTask, copy: EnvironmentCopy, found: Survey, steps: int, s
 
 
 def _episode(task: CompiledTask, copy: EnvironmentCopy, found: Survey, steps: int, seed: int) -> None:
-    copy.reset(seed if not found.steps else None)
+    found.observations.note(copy.reset(seed if not found.steps else None))
     q, ending = task.dfa.initial, "horizon"
     for _ in range(task.config.environment.horizon):
         step = copy.step(copy.action_space.sample())
         names = [name for name, holds in zip(copy.propositions, step.labels, strict=True) if holds]
+        found.observations.note(step.observation)
         found.steps += 1
         found.true_steps.update(names)
         for group in task.config.exclusive:
@@ -158,6 +170,8 @@ def _judge(task: CompiledTask, found: Survey) -> None:
     always = [name for name in found.propositions if found.true_steps[name] == found.steps]
     if always:
         found.warnings.append(f"{', '.join(always)} held on every step: does it depend on the state?")
+    if not is_packages_environment(task.config.environment):
+        found.warnings += found.observations.warnings(normalised=found.normalised)
     slow = slowness(chosen(task.config.environment, found.snapshots))
     if slow is not None:
         found.warnings.append(slow)
