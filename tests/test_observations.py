@@ -14,6 +14,7 @@ from hypothesis import strategies as st
 from own_environments import LEFT, LENGTH
 
 from t4nmtd_dist.config import EnvironmentConfig
+from t4nmtd_dist.environments.observation_range import ObservationRange
 from t4nmtd_dist.environments.observations import flattener
 from t4nmtd_dist.errors import WorldError
 from t4nmtd_dist.tasks import load_task, task_names
@@ -142,3 +143,14 @@ def test_the_packages_own_worlds_have_nothing_to_leave_out() -> None:
     config = load_task("task7", flags=['environment.leave_out=["mission"]']).environment
     with pytest.raises(WorldError, match="the observation is no Dict"):
         make_world(config, 1)
+
+
+def test_too_many_categories_stay_numbers_and_are_warned_of() -> None:
+    flat = flattener(spaces.MultiDiscrete([256] * 4))
+    assert (flat.size, flat.categorical.any()) == (4, False)
+    seen = ObservationRange(flat.parts)
+    for value in (0, 255):
+        seen.note(flat.flatten(np.full(4, value)))
+    for normalised in (True, False):
+        (text,) = seen.warnings(normalised=normalised)
+        assert text.startswith("observation has 1024 categories, too many for one-hot (512)")

@@ -61,7 +61,8 @@ class ObservationRange:
         for part, numbers in self._numbered():
             if not part.one_hot:
                 found += self._categories(part, numbers)
-                found += [] if normalised else self._bad_scale(part, numbers)
+                box = isinstance(part.space, spaces.Box)
+                found += self._bad_scale(part, numbers) if box and not normalised else []
         return found
 
     def _numbered(self) -> Iterator[tuple[Part, slice]]:
