@@ -64,7 +64,8 @@ def _serve(command: CoordinatorCommand) -> int:
     from coordinator.viewer import BackgroundViewer
     from t4nmtd_dist.cli.plan import plan_run
     from t4nmtd_dist.compiled import compile_task
-    from t4nmtd_dist.environments.preparation import prepared, slowness
+    from t4nmtd_dist.environments.cautions import cautions
+    from t4nmtd_dist.environments.preparation import prepared
     from t4nmtd_dist.errors import ConfigError
     from t4nmtd_dist.launch.ends import hear_ends
     from t4nmtd_dist.runs.report import outcome_text
@@ -81,8 +82,7 @@ def _serve(command: CoordinatorCommand) -> int:
     config = plan.config
     task = prepared(compile_task(config, translator=command.translator, seed=plan.seed))
     check_task_size(task)
-    warning = slowness(task.config.environment)
-    if warning is not None:
+    for warning in cautions(task):
         print(f"warning: {warning}", file=sys.stderr)
     budget, directory, run_id = config.max_interactions, plan.directory, plan.identity.run_id
     state = CoordinatorState(task, RunSettings(plan.seed, budget, str(directory), command.lease, run_id))

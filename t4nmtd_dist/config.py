@@ -38,6 +38,7 @@ class EnvironmentConfig:
             time that workers see it.
         snapshots: how states are saved and restored; ``auto`` tries the others in this order and checks each.
         snapshot_bytes: room of a snapshot, 0 for what the check found; ``replay`` takes what the horizon needs.
+        leave_out: keys of a Dict observation that are not learned from, such as texts.
     """
 
     id: str
@@ -47,6 +48,7 @@ class EnvironmentConfig:
     path: str = ""
     snapshots: Literal["auto", "own", "mujoco", "attributes", "replay"] = "auto"
     snapshot_bytes: int = 0
+    leave_out: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -83,7 +85,7 @@ class LearnerConfig:
     """What all learners share.
 
     Attributes:
-        algorithm: ``ppo`` (discrete actions) or ``sac`` (continuous actions).
+        algorithm: ``ppo`` (discrete actions), ``sac`` (continuous actions), or ``auto``: by the action space.
         gamma: discount per step, also the one inside the shaped reward.
         shaping: ``potential`` (potential difference on every step), ``paper`` (only when a target is reached),
             ``subtask`` (10 for a target, 100 for acceptance); docs/decisions/006 and 014 have the measurements.
@@ -97,9 +99,12 @@ class LearnerConfig:
         hand_over: which states become start states of the next sub-task: those in which a ``target`` was reached,
             as in the paper, or all in which the DFA changed, so that a critic knows whatever it is asked about.
         hidden: widths of the hidden layers of actor and critic, at least one.
+        normalise_observations: whether every learner brings observations to mean 0 and variance 1, by what it has seen
+            (docs/decisions/020); ``auto``: unless the environment comes with the package. Before ``auto`` is decided
+            (``environments.decisions``), it counts as ``off``.
     """
 
-    algorithm: Literal["ppo", "sac"] = "ppo"
+    algorithm: Literal["auto", "ppo", "sac"] = "auto"
     gamma: float = 0.99
     shaping: Shaping = "potential"
     error_penalty: float = 0.0
@@ -109,6 +114,7 @@ class LearnerConfig:
     start_capacity: int = 200
     hand_over: Literal["targets", "changes"] = "changes"
     hidden: tuple[int, ...] = (64, 64)
+    normalise_observations: Literal["auto", "on", "off"] = "auto"
 
 
 @dataclass(frozen=True)
@@ -221,6 +227,8 @@ class TaskConfig:
     Attributes:
         acceptance: ``first`` ends an episode at the first accepting state, ``end`` asks what the whole episode
             satisfies (docs/acceptance.md); ``auto`` decides by the automaton, and a compiled task has one of the two.
+        learner_given: keys of the section ``[learner]`` that were given. It is no setting, and not part of ``to_dict``:
+            an algorithm that is chosen later brings its own defaults for all others.
     """
 
     name: str
@@ -237,6 +245,7 @@ class TaskConfig:
     ppo: PPOConfig = PPOConfig()
     sac: SACConfig = SACConfig()
     evaluation: EvaluationConfig = EvaluationConfig()
+    learner_given: frozenset[str] = field(default=frozenset(), compare=False, repr=False)
 
     def __post_init__(self) -> None:
         _check_ranges(self)
@@ -244,6 +253,7 @@ class TaskConfig:
     def to_dict(self) -> dict[str, Any]:
         """Plain data that ``task_config`` reads back; fit for TOML and the wire."""
         plain: dict[str, Any] = _plain(self)
+        del plain["learner_given"]
         return plain
 
 
@@ -365,6 +375,11 @@ def _with_algorithm_defaults(data: Mapping[str, Any]) -> dict[str, Any]:
     return merge(ALGORITHM_DEFAULTS.get(algorithm, {}) if isinstance(algorithm, str) else {}, data)
 
 
+def _learner_given(data: Mapping[str, Any]) -> list[str]:
+    learner = data.get("learner")
+    return list(learner) if isinstance(learner, Mapping) else []
+
+
 def task_config(data: Mapping[str, Any], *, source: str = "task") -> TaskConfig:
     """Build a TaskConfig from plain data.
 
@@ -373,13 +388,13 @@ def task_config(data: Mapping[str, Any], *, source: str = "task") -> TaskConfig:
     """
     _refuse_unknown_keys(data, TaskConfig, source, ())
     try:
-        return msgspec.convert(_with_algorithm_defaults(data), TaskConfig)
+        return msgspec.convert(_with_algorithm_defaults(data) | {"learner_given": _learner_given(data)}, TaskConfig)
     except msgspec.ValidationError as error:
         raise ConfigError(f"{source}: {error}") from None
 
 
 def _refuse_unknown_keys(data: Mapping[str, Any], kind: type, source: str, path: tuple[str, ...]) -> None:
-    hints = typing.get_type_hints(kind)
+    hints = {key: hint for key, hint in typing.get_type_hints(kind).items() if key != "learner_given"}
     for key, value in data.items():
         dotted = ".".join((*path, key))
         if key not in hints:

@@ -151,7 +151,7 @@ class GlobalPolicy:
         The labels of the first observation after ``reset`` are not read: a trace begins with the first step.
 
         Args:
-            observation: numbers, as the environment gives them: of a Box of any shape. Observations that are Discrete
+            observation: numbers, as the environment gives them: of a Box of any shape. Observations that are one-hot
                 or a Dict go through ``environments.observations.flattener`` first.
             labels: names of the true propositions.
             actions: ``greedy`` or ``sampled``; None for the policy's own mode.
@@ -196,7 +196,7 @@ class GlobalPolicy:
         if learned_from not in (None, row.shape[1]):
             raise PolicyError(
                 f"an observation of {row.shape[1]} numbers, where the policy learned from {learned_from}; "
-                "flatten a Discrete or Dict observation by t4nmtd_dist.environments.observations.flattener"
+                "flatten observations that are one-hot or a Dict by t4nmtd_dist.environments.observations.flattener"
             )
         return row
 

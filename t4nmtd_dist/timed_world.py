@@ -62,6 +62,7 @@ class TimedWorld:
         self.count = world.count
         self.propositions: tuple[str, ...] = (*world.propositions, LAST)
         self.observation_size = world.observation_size + 1
+        self.categorical = np.append(world.categorical, True)  # the time is scaled already
         self.action_space = world.action_space
         self._steps = np.zeros(world.count, np.int64)
 

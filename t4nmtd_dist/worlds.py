@@ -59,6 +59,8 @@ class BatchedWorld(Protocol):
     propositions: tuple[str, ...]
     observation_size: int
     action_space: gym.Space[Any]
+    categorical: NDArray[np.bool_]
+    """Which numbers of an observation are one-hot, bool [d]."""
 
     @property
     def replayed(self) -> int:
@@ -96,7 +98,7 @@ def make_world(config: EnvironmentConfig, count: int, propositions: Sequence[str
     """
     spec = find_spec(config)
     if not config.labels and spec is not None and _keeps_vector_contract(spec):
-        return VectorWorld(_open_vector(config, spec, count))
+        return VectorWorld(_open_vector(config, spec, count), config.leave_out)
     config = with_snapshots(config, propositions)
     return LoopedWorld([EnvironmentCopy(config, propositions) for _ in range(count)])
 
@@ -123,11 +125,12 @@ class VectorWorld:
 
     replayed = 0
 
-    def __init__(self, env: Any) -> None:
+    def __init__(self, env: Any, leave_out: Sequence[str] = ()) -> None:
         self._env = env
         self.count = int(env.num_envs)
         self.propositions: tuple[str, ...] = tuple(env.propositions)
-        self.observation_size = flattener(env.single_observation_space).size
+        flat = flattener(env.single_observation_space, leave_out)
+        self.observation_size, self.categorical = flat.size, flat.categorical
         self.action_space: gym.Space[Any] = env.single_action_space
 
     def reset(self, rows: Rows, seed: int | None = None) -> Observations:
@@ -182,7 +185,7 @@ class LoopedWorld:
         self._copies = list(copies)
         self.count = len(self._copies)
         self.propositions: tuple[str, ...] = first.propositions
-        self.observation_size = first.observation_size
+        self.observation_size, self.categorical = first.observation_size, first.categorical
         self.action_space: gym.Space[Any] = first.action_space
         self._dice = np.random.default_rng(0)
         self._observations = np.zeros((self.count, self.observation_size), dtype=np.float32)

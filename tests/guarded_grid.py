@@ -14,11 +14,11 @@ GOAL = (0, 4)
 STARTS = ((0, 0), (2, 0), (4, 4), (4, 3))
 MOVES = ((0, 0), (0, -1), (1, 0), (0, 1), (-1, 0))  # stay, left, down, right, up
 STAY = 0
-SLIP = 0.05
+SLIP = 0.02
 
 
 class GuardedGrid(gymnasium.Env[int, int]):
-    """One step in twenty goes a random way; attempts start in one of four cells.
+    """One step in fifty goes a random way; attempts start in one of four cells.
 
     ``ends_at`` is a step on which the environment itself cuts the episode, 0 for none; ``fatal`` lets a hazard
     terminate it.

@@ -170,3 +170,85 @@ def raising(observation: int, info: dict[str, Any]) -> set[str]:
 
 def nothing_holds(observation: Any, info: dict[str, Any]) -> set[str]:
     return set()
+
+
+class Offset(Corridor):
+    """Observes its place as a number far from 0 and far too big: 500 + 100 a place."""
+
+    def __init__(self, **options: Any) -> None:
+        super().__init__(**options)
+        self.observation_space = spaces.Box(-np.inf, np.inf, (1,))
+
+    def observe(self) -> Any:
+        return np.array([500.0 + 100.0 * self.place], np.float32)
+
+
+class Cells(Corridor):
+    """Observes row and column as raw cell numbers; the grid is one row high."""
+
+    def __init__(self, columns: int = LENGTH, kind: str = "int", **options: Any) -> None:
+        super().__init__(**options)
+        high, dtype = np.array([0, columns - 1]), np.int64 if kind == "int" else np.float32
+        self.observation_space = spaces.Box(np.zeros(2, dtype), high.astype(dtype), dtype=dtype)  # type: ignore[arg-type]
+
+    def observe(self) -> Any:
+        return np.array([0, self.place], self.observation_space.dtype)
+
+
+class Missions(Corridor):
+    """Observes what MiniGrid's environments do: a direction, a picture of cell numbers, and a text."""
+
+    def __init__(self, **options: Any) -> None:
+        super().__init__(**options)
+        self.observation_space = spaces.Dict(
+            direction=spaces.Discrete(4), image=spaces.Box(0, 255, (LENGTH, 1, 3), np.uint8), mission=spaces.Text(40)
+        )
+
+    def observe(self) -> Any:
+        image = np.ones((LENGTH, 1, 3), np.uint8)
+        image[self.place] = (10, 0, 0)
+        return {"direction": self.last or 0, "image": image, "mission": "go left, then right"}
+
+
+def missions_ends(observation: dict[str, Any], info: dict[str, Any]) -> list[str]:
+    """A labelling function that needs the whole observation, the text too."""
+    assert observation["mission"] == "go left, then right"
+    return ends(int(observation["image"][:, 0, 0].argmax()), info)
+
+
+class Pushed(Corridor):
+    """Moved by a real number in [-1, 1], and observed as one far too big."""
+
+    def __init__(self, **options: Any) -> None:
+        super().__init__(**options)
+        self.action_space = spaces.Box(-1, 1, (1,))
+        self.observation_space = spaces.Box(0, 1000, (1,))
+
+    def step(self, action: Any) -> tuple[Any, float, bool, bool, dict[str, Any]]:
+        return super().step(int(action[0] > 0))
+
+    def observe(self) -> Any:
+        return np.array([1000 * self.place / (LENGTH - 1)], np.float32)
+
+
+WAY = (RIGHT, RIGHT, RIGHT, LEFT, LEFT, LEFT)
+
+
+class Winding(Offset):
+    """The way turns in the middle, so that a policy must tell the places apart."""
+
+    def reset(self, **options: Any) -> tuple[Any, dict[str, Any]]:
+        super().reset(**options)
+        self.place = 0
+        return self.observe(), self.info()
+
+    def step(self, action: int) -> tuple[Any, float, bool, bool, dict[str, Any]]:
+        self.place += int(self.place < len(WAY) and action == WAY[self.place])
+        return self.observe(), 0.0, False, False, self.info()
+
+
+class Wavering(Offset):
+    """Its place as a large number that is not whole, without bounds."""
+
+    def observe(self) -> Any:
+        return np.array([500.5 + 100.25 * self.place], np.float32)

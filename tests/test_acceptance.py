@@ -45,6 +45,7 @@ path = "{HERE}"
 horizon = {HORIZON}
 [evaluation]
 every = 2000
+success = 0.95
 """
 
 
@@ -201,20 +202,20 @@ def trained(task: CompiledTask, seed: int, most: int) -> SerialRun:
 
 
 def policy_of(run: SerialRun, folder: Path) -> GlobalPolicy:
-    snapshot = run.coordinator.evaluations.last
-    assert snapshot is not None
-    export_policy(folder, run.task, snapshot.q_table, snapshot.weights, {})
+    best = run.coordinator.evaluations.best
+    assert best is not None
+    snapshot = best.snapshot
+    export_policy(folder, run.task, snapshot.q_table, snapshot.weights, {}, mode=best.row.actions)
     return load(folder)
 
 
-def success_of(policy: GlobalPolicy, episodes: int, seed: int) -> float:
-    return Evaluator(policy, episodes, seed=seed).run(policy).success_rate
-
-
 @pytest.mark.training
-@pytest.mark.parametrize(("formula", "pids"), [(SAFETY, 1), (STAY_AT_GOAL, 1), (RESPONSE, 2)])
-def test_tasks_that_end_with_the_episode_are_learned(tmp_path: Path, formula: str, pids: int) -> None:
+@pytest.mark.parametrize(
+    ("formula", "pids"), [(SAFETY, (LAST,)), (STAY_AT_GOAL, ("goal", LAST)), (RESPONSE, ("goal&last",))]
+)
+def test_tasks_that_end_with_the_episode_are_learned(tmp_path: Path, formula: str, pids: tuple[str, ...]) -> None:
     task = guarded(tmp_path, formula)
+    assert task.decomposition.pids == pids
     run = trained(task, seed=102, most=150_000)
     assert run.coordinator.outcome == "solved"
     policy = policy_of(run, tmp_path / "policy")

@@ -293,7 +293,7 @@ def test_observations_are_flattened() -> None:
     "space", [spaces.MultiBinary(3), spaces.Dict({"inner": spaces.Dict({"a": spaces.Discrete(2)})}), spaces.Text(3)]
 )
 def test_other_observations_are_refused_by_name(space: Any) -> None:
-    with pytest.raises(WorldError, match="is not supported; expected Box, Discrete, or a flat Dict"):
+    with pytest.raises(WorldError, match="is not supported; expected Box, Discrete, MultiDiscrete, or a flat Dict"):
         flattener(space)
 
 

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import json
+import subprocess
+import sys
 from pathlib import Path
 from typing import Any
 
@@ -116,3 +118,75 @@ def test_the_page_tells_the_same_to_people(tmp_path: Path, capsys: pytest.Captur
 def test_steps_must_be_some(tmp_path: Path) -> None:
     with pytest.raises(ConfigError, match="--steps 0"):
         check("task7", steps=0, seed=0, flags=(), as_json=False)
+
+
+# Observations
+
+
+def warned(name: str, tmp_path: Path, capsys: pytest.CaptureFixture[str], *flags: str) -> tuple[list[str], Any]:
+    text = CORRIDOR.replace("Corridor", name).replace("& G(!again)", "")
+    code, found = checked(str(own_task(tmp_path, text)), capsys, *flags)
+    assert code == 0
+    return [text for text in found["warnings"] if text.startswith("observation")], found
+
+
+OFF = "learner.normalise_observations=off"
+
+
+def test_raw_cell_numbers_are_warned_of_normalised_or_not(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    for flags in ((), (OFF,)):
+        (text,), found = warned("Cells", tmp_path, capsys, 'environment.options={kind="float"}', *flags)
+        assert text.startswith("observation[1] looks like a raw cell number (whole, 0..6): one-hot learns better")
+        assert "MultiDiscrete" in text
+        assert found["normalised"] == (not flags)
+
+
+def test_cell_numbers_that_become_one_hot_are_fine(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    found = warned("Cells", tmp_path, capsys)[1]
+    assert found["observations"] == [{"name": "observation", "size": 8, "one_hot": True, "seen": [0.0, 1.0]}]
+    assert found["normalised"] is False
+    assert warned("Cells", tmp_path, capsys)[0] == warned("Corridor", tmp_path, capsys)[0] == []
+    (text,), found = warned("Cells", tmp_path, capsys, "environment.options={columns=40}")
+    assert text.startswith("observation[1] looks like a raw cell number (whole, 0..39): one-hot learns better")
+    assert found["observation_size"] == 2
+
+
+def test_numbers_without_bounds_and_far_from_0_are_warned_of_unless_normalised(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    texts, found = warned("Wavering", tmp_path, capsys)
+    assert (texts, found["normalised"]) == ([], True)
+    (text,), found = warned("Wavering", tmp_path, capsys, OFF)
+    assert "1 of its 1 numbers has no finite bounds; seen: " in text
+    assert 'learner.normalise_observations = "on"' in text
+    assert found["observations"][0]["seen"][1] > 100
+    (text,), _ = warned("Missions", tmp_path, capsys, OFF, 'environment.leave_out=["mission"]')
+    assert text.startswith("observation['image']: 21 of its 21 numbers have bounds of 0..255; seen: 0..10")
+    assert warned("Missions", tmp_path, capsys, 'environment.leave_out=["mission"]')[0] == []
+    assert warned("Mixed", tmp_path, capsys, OFF)[0] == []
+
+
+def test_the_page_says_that_observations_are_normalised(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    text = CORRIDOR.replace("Corridor", "Missions").replace("horizon", 'leave_out = ["mission"]\nhorizon')
+    assert check(str(own_task(tmp_path, text)), steps=50, seed=0, flags=(), as_json=False) == 0
+    page = " ".join(capsys.readouterr().out.split())
+    assert "25 numbers, 4 of them one-hot, the others normalised by what each learner sees" in page
+
+
+def test_the_packages_own_observations_are_not_warned_of(capsys: pytest.CaptureFixture[str]) -> None:
+    for flags in ((), ('environment.options={goals=1, observation="raw"}',)):
+        code, found = checked("task7", capsys, *flags, steps=50)
+        assert code == 0
+        assert [text for text in found["warnings"] if text.startswith("observation")] == []
+        assert found["normalised"] is False
+
+
+@pytest.mark.parametrize("command", ["train --serial", "train --no-dashboard"])
+def test_warnings_come_before_a_training_too(command: str, tmp_path: Path) -> None:
+    text = CORRIDOR.replace("Corridor", "Wavering").replace("& G(!again)", "")
+    arguments = f"{command} --task {own_task(tmp_path, text)} --max-interactions 100 --run-dir {tmp_path / 'run'}"
+    program = [sys.executable, "-m", "t4nmtd_dist.cli.main", *arguments.split(), "--set", OFF]
+    done = subprocess.run(program, capture_output=True, text=True, timeout=110)
+    assert done.returncode == 3, done.stderr
+    lines = [line for line in done.stderr.splitlines() if "no finite bounds" in line]
+    assert [line.startswith("t4nmtd: warning: observation: 1 of its 1 numbers") for line in lines] == [True]

@@ -1,4 +1,4 @@
-"""A sub-task of two propositions, ``again&left``, through a whole run: files, command lines, policy, dashboard."""
+"""A sub-task of two propositions, ``left&again``, through a whole run: files, command lines, policy, dashboard."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ id = "own_environments:Corridor"
 path = "{HERE}"
 horizon = 30
 """
-PID, FILE = "again&left", "again+left"
+PID, FILE = "left&again", "left+again"
 
 
 @pytest.fixture
@@ -62,7 +62,7 @@ def test_a_worker_takes_it_by_name_and_the_dashboard_shows_it(tmp_path: Path, pr
     processes.until(folder.exists, "the worker writes a checkpoint")
     shown = processes.start("t4nmtd", "dashboard", "--connect", state, "--svg", str(picture))
     assert shown.wait(60) == 0, shown.story()
-    assert "again&amp;left" in picture.read_text(encoding="utf-8").replace("&#160;", " ")
+    assert "left&amp;again" in picture.read_text(encoding="utf-8").replace("&#160;", " ")
     assert worker.process.poll() is None, worker.story()
     asked = processes.start("t4nmtd", "status", "--connect", control, "--json")
     assert asked.wait(30) == 0, asked.story()

@@ -48,7 +48,10 @@ def findings(task: CompiledTask, found: Survey) -> dict[str, Any]:
         "environment": found.environment,
         "observation_space": found.observation_space,
         "observation_size": found.observation_size,
+        "observations": found.observations.described(),
+        "normalised": found.normalised,
         "action_space": found.action_space,
+        "algorithm": found.learner.algorithm,
         "snapshots": {
             "adapter": found.snapshots.adapter,
             "bytes": found.snapshots.room,
@@ -87,10 +90,12 @@ def _facts(task: CompiledTask, found: Survey) -> Table:
     endings = ", ".join(f"{name} {count}" for name, count in sorted(found.endings.items())) or "none yet"
     play = f"{found.steps} steps at {found.steps_per_s:,.0f} a second, {found.episodes} episodes"
     subtasks = ", ".join(f"{pid} ({len(taus)})" for pid, taus in task.decomposition.subtasks.items())
+    chosen = task.config.learner.algorithm == "auto"
     rows = {
         "environment": found.environment,
-        "observations": f"{found.observation_space}: {found.observation_size} numbers",
+        "observations": f"{found.observation_space}: {_numbers(found)}",
         "actions": found.action_space,
+        "algorithm": found.learner.algorithm + (", which these actions call for" if chosen else ""),
         "snapshots": f"restore exactly by {choice.adapter!r}" + (f", {choice.room} bytes" if choice.room else ""),
         **{f"  not by {adapter!r}": reason for adapter, reason in choice.failures.items()},
         "automaton": f"{task.dfa.states} states, {len(task.dfa.edges)} transitions",
@@ -104,6 +109,16 @@ def _facts(task: CompiledTask, found: Survey) -> Table:
     for name, value in rows.items():
         table.add_row(name, Text(value))
     return table
+
+
+def _numbers(found: Survey) -> str:
+    """How many numbers learners see, and as what."""
+    one_hot = sum(part.size for part in found.observations.parts if part.one_hot)
+    told = [f"{found.observation_size} numbers"]
+    told += [f"{one_hot} of them one-hot"] if 0 < one_hot < found.observation_size else []
+    told += ["one-hot"] if one_hot == found.observation_size else []
+    told += [("the others " if one_hot else "") + "normalised by what each learner sees"] if found.normalised else []
+    return ", ".join(told)
 
 
 def _labels(task: CompiledTask, found: Survey) -> Table:

@@ -11,7 +11,8 @@ from t4nmtd_dist.cli.options import RunOptions
 from t4nmtd_dist.cli.plan import RunPlan, plan_run
 from t4nmtd_dist.compiled import CompiledTask, compile_task
 from t4nmtd_dist.devices import Device, check_device
-from t4nmtd_dist.environments.preparation import prepared, slowness
+from t4nmtd_dist.environments.cautions import cautions
+from t4nmtd_dist.environments.preparation import prepared
 from t4nmtd_dist.errors import RunError
 from t4nmtd_dist.launch.ends import hear_ends
 from t4nmtd_dist.launch.local import LocalProcesses, dealt
@@ -95,8 +96,7 @@ def train(
 def _ready(options: RunOptions, plan: RunPlan) -> CompiledTask:
     """The task compiled and its environment checked, before anything is started or written."""
     task = prepared(compile_task(plan.config, translator=options.translator, seed=plan.seed))
-    warning = slowness(task.config.environment)
-    if warning is not None:
+    for warning in cautions(task):
         print(f"t4nmtd: warning: {warning}", file=sys.stderr)
     return task
 

@@ -45,8 +45,8 @@ class EnvironmentCopy:
         self, config: EnvironmentConfig, propositions: Sequence[str], *, render_mode: str | None = None
     ) -> None:
         self.env: Any = open_environment(config, render_mode=render_mode)
-        flat = flattener(self.env.observation_space)
-        self.observation_size = flat.size
+        flat = flattener(self.env.observation_space, config.leave_out)
+        self.observation_size, self.categorical, self.parts = flat.size, flat.categorical, flat.parts
         self.action_space = checked_action_space(self.env.action_space)
         own = None if config.labels else getattr(self.env.unwrapped, "propositions", None)
         self._labels = LabelReader(config, propositions if own is None else own)

@@ -1,8 +1,13 @@
-"""Observations as vectors: Box of any shape, Discrete as a one-hot, or a flat Dict of these."""
+"""Observations as vectors: Box, Discrete, MultiDiscrete, or a flat Dict of these.
+
+What is a category becomes one-hot: Discrete, MultiDiscrete, and Boxes of integers with a few values each. All other
+numbers stay numbers.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import json
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -15,54 +20,155 @@ from t4nmtd_dist.errors import WorldError
 
 Vector = NDArray[np.float32]
 
+MOST_VALUES = 32
+"""Of one integer of a Box that becomes one-hot: the cells of common grids, hardly the levels of a sensor."""
+MOST_ONE_HOT = 512
+"""Numbers that the integers of one Box or MultiDiscrete may become: a replay keeps each of them 300,000 times."""
+
+
+@dataclass(frozen=True)
+class Part:
+    """What one entry of a Dict, or the whole of another observation, becomes.
+
+    Attributes:
+        name: for messages: ``observation``, or ``observation['image']``.
+        space: of the entry.
+        size: how many numbers of the vector it becomes.
+        one_hot: whether they are one-hot.
+        flatten: entry to float32 [size].
+    """
+
+    name: str
+    space: gym.Space[Any]
+    size: int
+    one_hot: bool
+    flatten: Callable[[Any], Vector]
+
 
 @dataclass(frozen=True)
 class Flattener:
     """Turns observations of one space into vectors.
 
     Attributes:
-        size: length of the vectors.
+        parts: in the order in which their numbers come.
         flatten: observation to float32 [size].
     """
 
-    size: int
+    parts: tuple[Part, ...]
     flatten: Callable[[Any], Vector]
 
+    @property
+    def size(self) -> int:
+        """Length of the vectors."""
+        return sum(part.size for part in self.parts)
 
-def flattener(space: gym.Space[Any]) -> Flattener:
+    @property
+    def categorical(self) -> NDArray[np.bool_]:
+        """Which numbers of the vectors are one-hot, bool [size]."""
+        return np.repeat([part.one_hot for part in self.parts], [part.size for part in self.parts])
+
+
+def flattener(space: gym.Space[Any], leave_out: Sequence[str] = ()) -> Flattener:
     """How observations of ``space`` become vectors; the parts of a Dict come in its own order.
 
+    Args:
+        space: of the observations.
+        leave_out: keys of a Dict that are not used.
+
     Raises:
-        WorldError: for any other space, by name.
+        WorldError: for any other space, by name, and for keys to leave out that are not there.
     """
     if isinstance(space, spaces.Dict):
-        parts = {key: _leaf(part, f"observation[{key!r}]") for key, part in space.spaces.items()}
-        return Flattener(
-            sum(part.size for part in parts.values()),
-            lambda observation: np.concatenate([part.flatten(observation[key]) for key, part in parts.items()]),
+        return _dict(space, leave_out)
+    if leave_out:
+        raise WorldError(f"{_setting(leave_out)}, but the observation is no Dict: {space}; remove that setting")
+    part = _part(space, "observation")
+    if part is None:
+        raise WorldError(_refusal("observation", space))
+    return Flattener((part,), part.flatten)
+
+
+def _dict(space: spaces.Dict, leave_out: Sequence[str]) -> Flattener:
+    strange = [key for key in leave_out if key not in space.spaces]
+    if strange:
+        raise WorldError(f"environment.leave_out names {strange[0]!r}; the observation has {', '.join(space.spaces)}")
+    used = {key: entry for key, entry in space.spaces.items() if key not in leave_out}
+    if not used:
+        raise WorldError(f"{_setting(leave_out)}, and environment.leave_out leaves nothing to learn from")
+    parts = {key: _part(entry, _entry(key)) for key, entry in used.items()}
+    found = {key: part for key, part in parts.items() if part is not None}
+    unusable = [key for key in parts if key not in found]
+    if unusable:
+        raise WorldError(
+            f"{_refusal(_entry(unusable[0]), used[unusable[0]])}; where the task can do without it, leave it out: "
+            f"{_setting([*leave_out, *unusable])}"
         )
-    return _leaf(space, "observation")
+    return Flattener(
+        tuple(found.values()),
+        lambda observation: np.concatenate([part.flatten(observation[key]) for key, part in found.items()]),
+    )
 
 
-def _leaf(space: gym.Space[Any], what: str) -> Flattener:
-    if isinstance(space, spaces.Box):
-        return Flattener(int(np.prod(space.shape)), lambda value: np.asarray(value, np.float32).reshape(-1))
-    if isinstance(space, spaces.Discrete):
-        return _one_hot(int(space.n), int(space.start))
-    raise WorldError(
-        f"{what} space {space} is not supported; expected Box, Discrete, or a flat Dict of these "
+def _entry(key: str) -> str:
+    return f"observation[{key!r}]"
+
+
+def _setting(keys: Sequence[str]) -> str:
+    return f"environment.leave_out = {json.dumps(list(keys))}"
+
+
+def _refusal(name: str, space: gym.Space[Any]) -> str:
+    return (
+        f"{name} space {space} is not supported; expected Box, Discrete, MultiDiscrete, or a flat Dict of these "
         "(a wrapper such as gymnasium.wrappers.FlattenObservation can help)"
     )
 
 
-def _one_hot(count: int, start: int) -> Flattener:
-    rows = np.eye(count, dtype=np.float32)
+def _part(space: gym.Space[Any], name: str) -> Part | None:
+    """What the entry becomes; None if it cannot be used."""
+    categories = _categories(space)
+    if categories is not None:
+        first, counts = categories
+        return Part(name, space, int(counts.sum()), True, _one_hots(name, first, counts))
+    if isinstance(space, spaces.Box | spaces.MultiDiscrete):
+        size = int(np.prod(space.shape))
+        return Part(name, space, size, False, lambda value: np.asarray(value, np.float32).reshape(-1))
+    return None
+
+
+def _categories(space: gym.Space[Any]) -> tuple[NDArray[np.int64], NDArray[np.int64]] | None:
+    """Lowest value and number of values, int64 [k] each, of the integers that become one-hot; None if it has none."""
+    if isinstance(space, spaces.Discrete):
+        return np.array([space.start], np.int64), np.array([space.n], np.int64)
+    if isinstance(space, spaces.MultiDiscrete):
+        counts = np.asarray(space.nvec, np.int64).reshape(-1)
+        small = counts.sum() <= MOST_ONE_HOT
+        return (np.asarray(space.start, np.int64).reshape(-1), counts) if small else None
+    if isinstance(space, spaces.Box) and space.dtype is not None and space.dtype.kind in "iu" and space.shape:
+        values = space.high.astype(np.float64) - space.low.astype(np.float64) + 1  # int64 could overflow
+        if values.max() <= MOST_VALUES and values.sum() <= MOST_ONE_HOT:
+            return space.low.astype(np.int64).reshape(-1), values.astype(np.int64).reshape(-1)
+    return None
+
+
+def _one_hots(name: str, first: NDArray[np.int64], counts: NDArray[np.int64]) -> Callable[[Any], Vector]:
+    size, offsets = int(counts.sum()), np.cumsum(counts) - counts
 
     def flatten(value: Any) -> Vector:
-        index = int(value) - start
-        if not 0 <= index < count:
-            raise WorldError(f"the environment observed {value!r}, which is not in {start}..{start + count - 1}")
-        row: Vector = rows[index].copy()
+        numbers = np.asarray(value).reshape(-1)
+        if len(numbers) != len(counts):
+            raise WorldError(f"the environment observed {len(numbers)} numbers in {name}; expected {len(counts)}")
+        index = numbers - first
+        wrong = np.flatnonzero((index < 0) | (index >= counts) | (index != np.floor(index)))
+        if len(wrong):
+            i = wrong[0]
+            declared = f"{first[i]}..{first[i] + counts[i] - 1}"
+            raise WorldError(
+                f"the environment observed {numbers[i]} in {name}, which is not in {declared}, the whole numbers that "
+                "its space declares; correct the space or the observation"
+            )
+        row: Vector = np.zeros(size, np.float32)
+        row[offsets + index.astype(np.int64)] = 1.0
         return row
 
-    return Flattener(count, flatten)
+    return flatten

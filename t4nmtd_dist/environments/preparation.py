@@ -24,24 +24,22 @@ def prepared(task: CompiledTask) -> CompiledTask:
     If formula, propositions or algorithm of such a task were changed, whether they fit is checked all the same.
 
     Returns:
-        The task with the way to save and restore states chosen, so that all workers use the same.
+        The task with everything chosen that was left to the environment, so that all workers use the same: the way to
+        save and restore states, the algorithm, and whether observations are normalised.
 
     Raises:
         WorldError: if the environment cannot be opened, reset, stepped, labelled or restored, has spaces that the
             learner cannot use, or does not report what the formula uses.
     """
     if is_bundled(task.config):
-        if _asks_for_more(task.config):
-            _check_world(task)
-        return task
+        return _check_world(task) if _asks_for_more(task.config) else task
     try:
-        environment = _checked(task)
+        return _checked(task)
     except T4NMTDError:
         raise
     except Exception as error:  # whatever a user's environment may raise
         text = f"environment {task.config.environment.id!r} raised {type(error).__name__}: {error}"
         raise WorldError(text) from error
-    return dataclasses.replace(task, config=dataclasses.replace(task.config, environment=environment))
 
 
 def _asks_for_more(config: TaskConfig) -> bool:
@@ -54,11 +52,14 @@ def _asks_for_more(config: TaskConfig) -> bool:
     )
 
 
-def _check_world(task: CompiledTask) -> None:
+def _check_world(task: CompiledTask) -> CompiledTask:
+    from t4nmtd_dist.environments.decisions import decided
     from t4nmtd_dist.timed_world import make_task_world
 
     world = make_task_world(task.config, 1)
+    task = dataclasses.replace(task, config=decided(task.config, world.action_space))
     check_fit(task, world.propositions, world.action_space)
+    return task
 
 
 def slowness(config: EnvironmentConfig) -> str | None:
@@ -66,17 +67,21 @@ def slowness(config: EnvironmentConfig) -> str | None:
     return SLOW.format(id=config.id, horizon=config.horizon) if config.snapshots == "replay" else None
 
 
-def _checked(task: CompiledTask) -> EnvironmentConfig:
+def _checked(task: CompiledTask) -> CompiledTask:
+    from t4nmtd_dist.environments.decisions import decided
     from t4nmtd_dist.environments.restoring import choose_snapshots, chosen
     from t4nmtd_dist.timed_world import make_task_world
 
     config = task.config
     environment = chosen(config.environment, choose_snapshots(config.environment, config.propositions))
     world = make_task_world(dataclasses.replace(config, environment=environment), 1)
+    task = dataclasses.replace(
+        task, config=decided(dataclasses.replace(config, environment=environment), world.action_space)
+    )
     check_fit(task, world.propositions, world.action_space)
     world.reset(np.arange(1), 0)
     world.step(np.array([world.action_space.sample()]))
-    return environment
+    return task
 
 
 def check_fit(task: CompiledTask, propositions: tuple[str, ...], action_space: object) -> None:

@@ -2,17 +2,22 @@
 
 from __future__ import annotations
 
+import dataclasses
 import time
 from collections import Counter
 from dataclasses import dataclass, field
 
 from t4nmtd_dist.automata.acceptance import LAST
 from t4nmtd_dist.compiled import CompiledTask
+from t4nmtd_dist.config import LearnerConfig
 from t4nmtd_dist.environments.copies import EnvironmentCopy
+from t4nmtd_dist.environments.decisions import decided
 from t4nmtd_dist.environments.exclusive import Suggestion, suggestions
+from t4nmtd_dist.environments.observation_range import ObservationRange
 from t4nmtd_dist.environments.preparation import check_fit, slowness
 from t4nmtd_dist.environments.restoring import Choice, choose_snapshots, chosen
 from t4nmtd_dist.errors import T4NMTDError, WorldError
+from t4nmtd_dist.tasks import is_packages_environment
 from t4nmtd_dist.timed_world import ends_episode
 
 MORE_TRIALS = 20
@@ -28,8 +33,10 @@ class Survey:
         environment: the environment with its wrappers, as it prints itself.
         observation_space, action_space: as they print themselves.
         observation_size: numbers in an observation as the networks see it.
+        learner: its settings, with everything decided that was left to the environment.
         propositions: all that may be reported.
         snapshots: the adapter that restores exactly.
+        observations: what they were like.
         steps, episodes: how many were taken.
         cut: episodes that the environment itself ended before the horizon.
         endings: episodes by how they ended: accepted, error, terminated, truncated, horizon.
@@ -46,8 +53,10 @@ class Survey:
     observation_space: str
     action_space: str
     observation_size: int
+    learner: LearnerConfig
     propositions: tuple[str, ...]
     snapshots: Choice
+    observations: ObservationRange
     steps: int = 0
     episodes: int = 0
     cut: int = 0
@@ -59,6 +68,12 @@ class Survey:
     steps_per_s: float = 0.0
     problems: list[str] = field(default_factory=list)
     warnings: list[str] = field(default_factory=list)
+
+    @property
+    def normalised(self) -> bool:
+        """Whether learners normalise numbers of the observations."""
+        numbers = any(not part.one_hot for part in self.observations.parts)
+        return numbers and self.learner.normalise_observations == "on"
 
     @property
     def never_true(self) -> list[str]:
@@ -81,7 +96,8 @@ def survey(task: CompiledTask, *, steps: int, seed: int) -> Survey:
     try:
         choice = choose_snapshots(config.environment, config.propositions, trials=MORE_TRIALS)
         copy = EnvironmentCopy(chosen(config.environment, choice), config.propositions)
-        found = _described(copy, choice)
+        task = dataclasses.replace(task, config=decided(config, copy.action_space))
+        found = _described(copy, task.config.learner, choice)
         _fits(task, copy, found)
         _act(task, copy, found, steps, seed)
     except T4NMTDError:
@@ -93,14 +109,16 @@ def survey(task: CompiledTask, *, steps: int, seed: int) -> Survey:
     return found
 
 
-def _described(copy: EnvironmentCopy, choice: Choice) -> Survey:
+def _described(copy: EnvironmentCopy, learner: LearnerConfig, choice: Choice) -> Survey:
     return Survey(
         str(copy.env),
         str(copy.env.observation_space),
         str(copy.action_space),
         copy.observation_size,
+        learner,
         copy.propositions,
         choice,
+        ObservationRange(copy.parts),
     )
 
 
@@ -121,11 +139,12 @@ def _act(task: CompiledTask, copy: EnvironmentCopy, found: Survey, steps: int, s
 
 
 def _episode(task: CompiledTask, copy: EnvironmentCopy, found: Survey, steps: int, seed: int) -> None:
-    copy.reset(seed if not found.steps else None)
+    found.observations.note(copy.reset(seed if not found.steps else None))
     q, ending, horizon = task.dfa.initial, "horizon", task.config.environment.horizon
     for t in range(1, horizon + 1):
         step = copy.step(copy.action_space.sample())
         names = [name for name, holds in zip(copy.propositions, step.labels, strict=True) if holds]
+        found.observations.note(step.observation)
         found.steps += 1
         found.true_steps.update(names)
         found.seen[frozenset(names)] += 1
@@ -169,6 +188,8 @@ def _judge(task: CompiledTask, found: Survey) -> None:
     if always:
         found.warnings.append(f"{', '.join(always)} held on every step: does it depend on the state?")
     found.warnings += _about_the_end(task, found)
+    if not is_packages_environment(task.config.environment):
+        found.warnings += found.observations.warnings(normalised=found.normalised)
     slow = slowness(chosen(task.config.environment, found.snapshots))
     if slow is not None:
         found.warnings.append(slow)

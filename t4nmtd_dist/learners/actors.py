@@ -13,6 +13,7 @@ from torch import Tensor
 from t4nmtd_dist.config import LearnerConfig
 from t4nmtd_dist.errors import PolicyError
 from t4nmtd_dist.learners.networks import Weights, load_weights, mlp, part_of
+from t4nmtd_dist.learners.normalisation import Normalisation, stored_normalisation
 
 Actions = NDArray[Any]
 
@@ -84,6 +85,22 @@ class GaussianActor:
         return scaled(squashed_sample(outputs, noise).actions.T, self._low, self._high)
 
 
+class NormalisingActor:
+    """An actor that learned from normalised observations, and its statistics of them."""
+
+    def __init__(self, actor: Actor, normalisation: Normalisation) -> None:
+        if normalisation.size >= actor.inputs:
+            raise PolicyError(
+                f"an actor of {actor.inputs} inputs with statistics of {normalisation.size} observed numbers; expected "
+                "fewer, since the DFA state comes after them"
+            )
+        self.inputs, self._actor, self._normalisation = actor.inputs, actor, normalisation
+
+    def act(self, states: Tensor, rng: np.random.Generator | None = None) -> Actions:
+        """See ``Actor.act``."""
+        return self._actor.act(torch.from_numpy(self._normalisation.apply_to_states(states.numpy())), rng)
+
+
 def scaled(actions: NDArray[np.float32], low: NDArray[np.float32], high: NDArray[np.float32]) -> NDArray[np.float32]:
     """Actions [N, A] in [-1, 1] stretched to [low, high], both ends included."""
     stretched: NDArray[np.float32] = np.clip((1 - actions) * (low / 2) + (1 + actions) * (high / 2), low, high)
@@ -91,8 +108,12 @@ def scaled(actions: NDArray[np.float32], low: NDArray[np.float32], high: NDArray
 
 
 def acting_parameters(weights: Mapping[str, NDArray[Any]]) -> Weights:
-    """The parameters, named ``actor.*``, of the actor that is evaluated and exported: the average, if one is kept."""
+    """The parameters, named ``actor.*``, of the actor that is evaluated and exported: the average, if one is kept.
+
+    Statistics of observations are among them, where the learner normalises those.
+    """
     kept = part_of(weights, "average") or part_of(weights, "actor")
+    kept |= {name: array for name, array in weights.items() if name.startswith("normalisation.")}
     return {f"actor.{name}": array for name, array in kept.items()}
 
 
@@ -102,5 +123,6 @@ def make_actor(config: LearnerConfig, weights: Mapping[str, NDArray[Any]]) -> Ac
     Raises:
         PolicyError: if they are missing or do not fit.
     """
-    own = part_of(acting_parameters(weights), "actor")
-    return GaussianActor(config.hidden, own) if config.algorithm == "sac" else CategoricalActor(config.hidden, own)
+    normalisation, own = stored_normalisation(part_of(acting_parameters(weights), "actor"))
+    actor = GaussianActor(config.hidden, own) if config.algorithm == "sac" else CategoricalActor(config.hidden, own)
+    return actor if normalisation is None else NormalisingActor(actor, normalisation)

@@ -9,6 +9,7 @@ import numpy as np
 from t4nmtd_dist.compiled import CompiledTask
 from t4nmtd_dist.devices import Device
 from t4nmtd_dist.environments.action_spaces import action_bounds, action_count
+from t4nmtd_dist.errors import ConfigError
 from t4nmtd_dist.high_level import QTable
 from t4nmtd_dist.initial_state_buffer import InitialStateBuffer
 from t4nmtd_dist.learners.attempts import Attempts
@@ -38,9 +39,12 @@ def build_learner(
 
     Raises:
         WorldError: if the environment cannot be opened, or its spaces or propositions do not fit.
+        ConfigError: if the algorithm has not been decided (``environments.preparation.prepared`` does).
     """
     config = task.config
     settings = config.learner
+    if settings.algorithm == "auto":
+        raise ConfigError('learner.algorithm = "auto" is not decided yet: pass the task through prepared() first')
     tables = subtask_tables(
         task.dfa,
         task.decomposition,
@@ -53,12 +57,13 @@ def build_learner(
     count = config.sac.worlds if settings.algorithm == "sac" else config.ppo.worlds
     world = make_task_world(config, count)
     attempts = _attempts(task, tables, world, buffer, seed)
+    normalised = ~world.categorical if settings.normalise_observations == "on" else None
     if settings.algorithm == "ppo":
         actions = action_count(world.action_space, config.environment.id)
         states = task.dfa.states
         return PPOLearner(
             pid, attempts, settings, config.ppo, high_level,
-            dfa_states=states, actions=actions, seed=seed, device=device,
+            dfa_states=states, actions=actions, seed=seed, device=device, normalised=normalised,
         )  # fmt: skip
     bounds = action_bounds(world.action_space, config.environment.id)
     from t4nmtd_dist.learners.sac import SACLearner
@@ -66,7 +71,7 @@ def build_learner(
     delta = task.dfa.delta
     return SACLearner(
         pid, attempts, tables, delta, settings, config.sac, high_level,
-        bounds=bounds, seed=seed, peers=len(task.decomposition.pids) - 1, device=device,
+        bounds=bounds, seed=seed, peers=len(task.decomposition.pids) - 1, device=device, normalised=normalised,
     )  # fmt: skip
 
 

@@ -20,6 +20,7 @@ from t4nmtd_dist.learners.attempts import Attempts, Mask
 from t4nmtd_dist.learners.experience import Experience
 from t4nmtd_dist.learners.flat_adam import FlatAdam
 from t4nmtd_dist.learners.networks import Weights, check_finite, load_weights, mlp, product_state, weights_of
+from t4nmtd_dist.learners.normalisation import Normalisation
 from t4nmtd_dist.learners.peers import PeerCritics, Questions, Values
 from t4nmtd_dist.learners.value_request import read_value_request
 from t4nmtd_dist.runs.state_tree import State
@@ -104,18 +105,21 @@ class PublishedCritic:
         critic: the network to copy.
         observation_size: d.
         dfa_states: |Q|.
+        normalisation: statistics of its own, to load others into.
     """
 
-    def __init__(self, critic: nn.Module, observation_size: int, dfa_states: int) -> None:
+    def __init__(self, critic: nn.Module, observation_size: int, dfa_states: int, normalisation: Normalisation) -> None:
         self._copy = copy.deepcopy(critic).cpu()
+        self._normalisation = normalisation
         self._observation_size, self._dfa_states = observation_size, dfa_states
         self._version = 0
         self._lock = threading.Lock()
 
     @torch.no_grad()
-    def update(self, critic: nn.Module, version: int) -> None:
-        """Copy newer parameters."""
+    def update(self, critic: nn.Module, version: int, statistics: Mapping[str, NDArray[Any]]) -> None:
+        """Copy newer parameters, and statistics of observations."""
         with self._lock:
+            self._normalisation.load(statistics)
             for mine, theirs in zip(self._copy.parameters(), critic.parameters(), strict=True):
                 mine.copy_(theirs)
             self._version = version
@@ -123,7 +127,7 @@ class PublishedCritic:
     def weights(self) -> tuple[Weights, int]:
         """The parameters, and their version."""
         with self._lock:
-            return weights_of(self._copy), self._version
+            return weights_of(self._copy) | self._normalisation.weights(), self._version
 
     def load(self, weights: Mapping[str, NDArray[Any]], version: int) -> None:
         """Answer from the ``weights`` of another copy from now on.
@@ -134,7 +138,7 @@ class PublishedCritic:
         """
         check_finite(weights)
         with self._lock:
-            load_weights(self._copy, weights)
+            load_weights(self._copy, self._normalisation.load(weights))
             self._version = version
 
     @torch.no_grad()
@@ -145,8 +149,8 @@ class PublishedCritic:
             ProtocolError: if ``observation`` is not finite float32 [k, d] or ``q`` not [k] states of the DFA.
         """
         observations, q = read_value_request(arrays, self._observation_size, self._dfa_states)
-        states = product_state(observations, q, self._dfa_states)
         with self._lock:
+            states = product_state(self._normalisation.apply(observations), q, self._dfa_states)
             values: Values = self._copy(states).squeeze(-1).numpy()
             return values, self._version
 
@@ -164,6 +168,7 @@ class PPOLearner:
         actions: number of actions.
         seed: seeds networks and sampling.
         device: where the networks are; roll-outs are collected on the CPU.
+        normalised: which numbers of an observation are normalised, bool [d]; None for none.
     """
 
     def __init__(
@@ -178,18 +183,20 @@ class PPOLearner:
         actions: int,
         seed: int,
         device: Device = "cpu",
+        normalised: Mask | None = None,
     ) -> None:
         self.pid, self.attempts, self.high_level = pid, attempts, high_level
         self._config, self._ppo, self._dfa_states = config, ppo, dfa_states
         self._rng = np.random.default_rng([seed, 1])
         count, observation_size = attempts.observations.shape
+        self._normalisation = Normalisation(np.zeros(observation_size, np.bool_) if normalised is None else normalised)
         with torch.random.fork_rng(devices=[]):
             torch.manual_seed(seed)
             self.network = ActorCritic(observation_size + dfa_states, actions, config.hidden).to(device)
         self._device = device
         self._optimiser = FlatAdam.of_module(self.network, ppo.learning_rate, epsilon=1e-5)
         self._rollout = Rollout.empty(ppo.rollout, count, observation_size + dfa_states, observation_size)
-        self.published = PublishedCritic(self.network.critic, observation_size, dfa_states)
+        self.published = self.replica()
         self.value_shape: tuple[int, ...] = ()
         self.experience = None
         self.peer_steps = self.peer_rows = 0
@@ -212,27 +219,30 @@ class PPOLearner:
     @torch.no_grad()
     def critic_values(self, observations: Observations, q: NDArray[np.int32]) -> Values:
         """V(s, q) of product states, float32 [k]: what peers ask for."""
-        states = product_state(observations, q, self._dfa_states).to(self._device)
-        values: Values = self.network.value(states).cpu().numpy()
+        values: Values = self.network.value(self._states(observations, q).to(self._device)).cpu().numpy()
         return values
+
+    def _states(self, observations: Observations, q: NDArray[np.int32]) -> Tensor:
+        """Product states, with observations normalised."""
+        return product_state(self._normalisation.apply(observations), q, self._dfa_states)
 
     def replica(self) -> PublishedCritic:
         """A critic of the same shape, to be loaded with the weights of a peer."""
         size = self.attempts.observations.shape[1]
-        return PublishedCritic(self.network.critic, size, self._dfa_states)
+        return PublishedCritic(self.network.critic, size, self._dfa_states, self._normalisation.alike())
 
     def learn_from(self, others: Mapping[str, Experience]) -> None:
         """Do nothing: PPO learns from fresh experience of its own policy only."""
 
     def weights(self) -> Weights:
-        """Copies of all parameters by name."""
-        return weights_of(self.network)
+        """Copies of all parameters, and of the statistics of observations, by name."""
+        return weights_of(self.network) | self._normalisation.weights()
 
     def load(self, weights: Mapping[str, NDArray[Any]], version: int) -> None:
         """Go on from weights learned before."""
-        load_weights(self.network, weights)
+        load_weights(self.network, self._normalisation.load(weights))
         self.version = version
-        self.published.update(self.network.critic, version)
+        self.published.update(self.network.critic, version, self._normalisation.weights())
 
     def state(self) -> State:
         """See ``Learner.state``; a roll-out is over between two iterations, so it is no part."""
@@ -269,7 +279,8 @@ class PPOLearner:
         """Fill the roll-out; peers are asked about boundaries as they are crossed."""
         rollout, attempts = self._rollout, self.attempts
         for t in range(self._ppo.rollout):
-            states = product_state(attempts.observations, attempts.q, self._dfa_states)
+            self._normalisation.update(attempts.observations)
+            states = self._states(attempts.observations, attempts.q)
             rollout.states[t] = states.numpy()
             actions, rollout.log_probs[t] = self._act(states)
             rollout.actions[t] = actions
@@ -313,12 +324,12 @@ class PPOLearner:
         )
         self._epochs(advantages.reshape(-1), (advantages + values).reshape(-1))
         self.version += 1
-        self.published.update(self.network.critic, self.version)
+        self.published.update(self.network.critic, self.version, self._normalisation.weights())
 
     def _bootstrap(self, peers: PeerCritics) -> tuple[Floats, Floats]:
         """V(s_t) and the bootstrap values of s_{t+1}, float32 [T, N] each (the critic target with intervention)."""
         rollout, attempts = self._rollout, self.attempts
-        last = product_state(attempts.observations, attempts.q, self._dfa_states)
+        last = self._states(attempts.observations, attempts.q)
         flat = torch.from_numpy(rollout.states.reshape(-1, rollout.states.shape[-1]))
         own = self.network.value(torch.cat([flat, last]).to(self._device)).cpu().numpy()
         values = own[: len(flat)].reshape(rollout.rewards.shape)

@@ -20,6 +20,7 @@ from t4nmtd_dist.learners.attempts import Attempts
 from t4nmtd_dist.learners.experience import Experience
 from t4nmtd_dist.learners.exploration import HeldActionExploration, SinusoidExploration
 from t4nmtd_dist.learners.networks import Weights
+from t4nmtd_dist.learners.normalisation import Normalisation
 from t4nmtd_dist.learners.peers import PeerCritics, Values
 from t4nmtd_dist.learners.sac_batches import BatchSource, DrawnBatch, product_states
 from t4nmtd_dist.learners.sac_interface import PeerSoftValues, SACSettings
@@ -61,6 +62,7 @@ class SACLearner:
         seed: seeds networks and sampling.
         peers: how many other sub-tasks there are.
         device: where the networks are trained; what answers peers is on the CPU.
+        normalised: which numbers of an observation are normalised, bool [d]; None for none.
     """
 
     def __init__(
@@ -77,6 +79,7 @@ class SACLearner:
         seed: int,
         peers: int = 0,
         device: Device = "cpu",
+        normalised: NDArray[np.bool_] | None = None,
     ) -> None:
         self.pid, self.attempts = pid, attempts
         self._delta, self._sac = delta, sac
@@ -84,6 +87,8 @@ class SACLearner:
         self._low, self._high = bounds
         count, self._observation_size = attempts.observations.shape
         action_size = len(self._low)
+        size = self._observation_size
+        self._normalisation = Normalisation(np.zeros(size, np.bool_) if normalised is None else normalised)
         self.experience = Experience(sac.replay_rows // count, count, self._observation_size, action_size)
         kept_of_each = max(1, self.experience.steps // max(1, peers))  # of all peers together what the own replay holds
         self.peer_steps = kept_of_each if sac.peer_share else 0
@@ -113,14 +118,18 @@ class SACLearner:
 
     def critic_values(self, observations: Observations, q: States) -> Values:
         """(min of the target critics, log pi) of the own actor's action at product states, float32 [k, 2]."""
-        values, log_probs = self.updater.soft_values(product_states(observations, q, len(self._delta)))
+        values, log_probs = self.updater.soft_values(self._states(observations, q))
         return np.stack([values, log_probs], axis=1)
+
+    def _states(self, observations: Observations, q: States) -> Floats:
+        """Product states, with observations normalised."""
+        return product_states(self._normalisation.apply(observations), q, len(self._delta))
 
     def replica(self) -> PublishedSoftCritic:
         """A network of the same shape, with weights of its own, to be loaded with those of a peer."""
         inputs, actions = self._observation_size + len(self._delta), len(self._low)
         copy = SACUpdater(inputs, actions, self.updater.settings, next(self._noise_seeds))
-        return PublishedSoftCritic(copy, self._observation_size, len(self._delta))
+        return PublishedSoftCritic(copy, self._observation_size, len(self._delta), self._normalisation.alike())
 
     @property
     def peer_rows(self) -> int:
@@ -132,16 +141,19 @@ class SACLearner:
         self.batches.others = others
 
     def weights(self) -> Weights:
-        """Copies of all parameters by name, and the bounds that the average actor's actions are stretched to."""
-        return self.updater.weights() | {"average.low": self._low, "average.high": self._high}
+        """Copies of all parameters by name, with the bounds that the average actor's actions are stretched to.
+
+        Where observations are normalised, their statistics are among them.
+        """
+        bounds = {"average.low": self._low, "average.high": self._high}
+        return self.updater.weights() | bounds | self._normalisation.weights()
 
     def load(self, weights: Mapping[str, NDArray[Any]], version: int) -> None:
         """Go on from weights learned before."""
-        self.updater.load(
-            {name: array for name, array in weights.items() if name not in ("average.low", "average.high")}
-        )
+        own = self._normalisation.load(weights)
+        self.updater.load({name: array for name, array in own.items() if name not in ("average.low", "average.high")})
         self.version = version
-        self.published.update(self.updater, version)
+        self.published.update(self.updater, version, self._normalisation.weights())
 
     def losses(self) -> tuple[float | None, float | None]:
         """Entropy (nats) and critic loss of the last update; None before the first."""
@@ -151,7 +163,7 @@ class SACLearner:
     def state(self) -> State:
         """See ``Learner.state``; the replay's arrays are views."""
         return {
-            "weights": self.updater.weights(),
+            "weights": self.updater.weights() | self._normalisation.weights(),
             "optimisers": self.updater.optimiser_state(),
             "experience": self.experience.state(),
             "waves": self._waves.state(),
@@ -193,7 +205,7 @@ class SACLearner:
                 self._owed -= 1.0
                 self._train(peers)
         self.version += 1
-        self.published.update(self.updater, self.version)
+        self.published.update(self.updater, self.version, self._normalisation.weights())
         return True
 
     def _step(self) -> None:
@@ -202,7 +214,8 @@ class SACLearner:
         success = self._success()
         self._waves.begin(self._fresh, success)
         self._holds.begin(self._fresh, success)
-        chosen = self.updater.act(product_states(observations, q, len(self._delta)), deterministic=False)
+        self._normalisation.update(observations)
+        chosen = self.updater.act(self._states(observations, q), deterministic=False)
         actions = self._waves.drive(self._holds.drive(chosen))
         step = attempts.step(scaled(actions, self._low, self._high))
         self.experience.add(
@@ -221,7 +234,7 @@ class SACLearner:
         answers = peers.gather(drawn.number)
         values, log_probs = answers.values.reshape(-1, 2).T
         self.updater.scale_learning_rate(1.0 - self._sac.learning_rate_decay * self._success() ** 2)
-        self.updater.update(drawn.tensors(), PeerSoftValues(answers.rows, values, log_probs))
+        self.updater.update(drawn.tensors(self._normalisation), PeerSoftValues(answers.rows, values, log_probs))
         self.updater.keep_alpha_above(self._alpha_floor())
         self.gradient_steps += 1
 

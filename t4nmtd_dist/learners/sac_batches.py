@@ -14,6 +14,7 @@ from t4nmtd_dist.config import LearnerConfig, SACConfig
 from t4nmtd_dist.high_level import QTable
 from t4nmtd_dist.learners.chance_finds import ChanceFinds, target_letters
 from t4nmtd_dist.learners.experience import Experience
+from t4nmtd_dist.learners.normalisation import Normalisation
 from t4nmtd_dist.learners.peers import Questions, RowNumbers
 from t4nmtd_dist.learners.sac_interface import SACBatch
 from t4nmtd_dist.product import SubtaskTables
@@ -58,7 +59,7 @@ class DrawnBatch:
 
     Attributes:
         number: gradient steps that come before it.
-        states: product states [B, d + |Q|].
+        states: product states [B, d + |Q|], observations as the environment gave them.
         actions: [B, A].
         rewards: scaled n-step returns [B].
         discounts: [B].
@@ -83,9 +84,12 @@ class DrawnBatch:
         observations = self.next_states[self.asked_rows, :observation_size]
         return Questions(self.asked_rows, self.asked_pids, observations, self.asked_q)
 
-    def tensors(self) -> SACBatch:
-        """What the gradient step learns from."""
-        columns = (self.states, self.actions, self.rewards, self.discounts, self.next_states)
+    def tensors(self, normalisation: Normalisation | None = None) -> SACBatch:
+        """What the gradient step learns from, with observations as it is to see them."""
+        states, next_states = self.states, self.next_states
+        if normalisation is not None:
+            states, next_states = map(normalisation.apply_to_states, (states, next_states))
+        columns = (states, self.actions, self.rewards, self.discounts, next_states)
         return SACBatch(*map(torch.from_numpy, columns))
 
 

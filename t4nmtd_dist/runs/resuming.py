@@ -10,7 +10,7 @@ from typing import Any
 
 import msgspec
 
-from t4nmtd_dist.config import TaskConfig, read_toml, task_config
+from t4nmtd_dist.config import TaskConfig, merge, read_toml, task_config
 from t4nmtd_dist.errors import ConfigError, RunError
 from t4nmtd_dist.runs.directory import CHECKPOINTS_FOLDER, CONFIG_FILE, SUMMARY_FILE, read_summary, write_atomically
 from t4nmtd_dist.runs.file_names import file_name
@@ -19,6 +19,13 @@ from t4nmtd_dist.runs.state_tree import State
 IDENTITY_FILE = "run.json"
 COUNTS_FILE = "counts.json"
 CHECKPOINT_EVERY_S = 300.0
+UNLESS_WRITTEN: State = {
+    "acceptance": "first",
+    "decomposition": {"keep": "all"},
+    "evaluation": {"actions": "greedy"},
+    "learner": {"normalise_observations": "off"},
+}
+"""What runs did before there were these settings."""
 COORDINATOR, SERIAL = "coordinator", "serial"
 
 
@@ -85,9 +92,7 @@ def read_stopped_run(run: Path) -> StoppedRun:
     try:
         settings = read_toml(run / CONFIG_FILE)
         seed = settings.pop("seed")
-        settings.setdefault("evaluation", {}).setdefault("actions", "greedy")  # older runs knew nothing else
-        settings.setdefault("decomposition", {}).setdefault("keep", "all")  # a run from before there was a choice
-        config = task_config(settings, source=str(run / CONFIG_FILE))
+        config = task_config(merge(UNLESS_WRITTEN, settings), source=str(run / CONFIG_FILE))
         told = json.loads((run / CHECKPOINTS_FOLDER / IDENTITY_FILE).read_text(encoding="utf-8"))
         identity = msgspec.convert(told, Identity)
     except FileNotFoundError:

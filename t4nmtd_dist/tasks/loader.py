@@ -9,7 +9,7 @@ from importlib.resources import files
 from pathlib import Path
 from typing import Any
 
-from t4nmtd_dist.config import TaskConfig, merge, read_toml, settings_from_flags, task_config
+from t4nmtd_dist.config import EnvironmentConfig, TaskConfig, merge, read_toml, settings_from_flags, task_config
 from t4nmtd_dist.errors import ConfigError
 
 
@@ -41,6 +41,11 @@ def load_task(name: str, *, configs: Iterable[Path] = (), flags: Iterable[str] =
 def is_bundled(task: TaskConfig) -> bool:
     """Whether the task's environment is, with all options, that of a task that comes with the package."""
     return task.name in task_names() and task.environment == load_task(task.name).environment
+
+
+def is_packages_environment(environment: EnvironmentConfig) -> bool:
+    """Whether the environment comes with the package, whatever its options."""
+    return environment.id in {load_task(name).environment.id for name in task_names()}
 
 
 def _with_path(task: TaskConfig, folder: Path) -> TaskConfig:

@@ -1,0 +1,53 @@
+"""What deserves a warning before a training, one line each."""
+
+from __future__ import annotations
+
+import time
+
+from t4nmtd_dist.compiled import CompiledTask
+from t4nmtd_dist.config import TaskConfig
+from t4nmtd_dist.environments.preparation import slowness
+from t4nmtd_dist.errors import T4NMTDError, WorldError
+from t4nmtd_dist.tasks import is_packages_environment
+
+STEPS, MOST_S = 200, 5.0  # of random play, whichever ends first
+
+
+def cautions(task: CompiledTask) -> list[str]:
+    """What the user should know of a task whose environment was checked (``preparation.prepared``).
+
+    Raises:
+        WorldError: if the environment fails under random actions.
+    """
+    config = task.config
+    slow = slowness(config.environment)
+    found = [] if slow is None else [slow]
+    if is_packages_environment(config.environment):
+        return found
+    try:
+        return found + _of_observations(config)
+    except T4NMTDError:
+        raise
+    except Exception as error:  # whatever a user's environment may raise
+        raise WorldError(f"environment {config.environment.id!r} raised {type(error).__name__}: {error}") from error
+
+
+def _of_observations(config: TaskConfig) -> list[str]:
+    from t4nmtd_dist.environments.copies import EnvironmentCopy
+    from t4nmtd_dist.environments.observation_range import ObservationRange
+
+    copy = EnvironmentCopy(config.environment, config.propositions)
+    seen = ObservationRange(copy.parts)
+    copy.action_space.seed(0)
+    seen.note(copy.reset(0))
+    ends_at, episode = time.monotonic() + MOST_S, 0
+    for _ in range(STEPS):
+        step, episode = copy.step(copy.action_space.sample()), episode + 1
+        seen.note(step.observation)
+        if step.terminated or step.truncated or episode >= config.environment.horizon:
+            seen.note(copy.reset(None))
+            episode = 0
+        if time.monotonic() > ends_at:
+            break
+    copy.env.close()
+    return seen.warnings(normalised=config.learner.normalise_observations == "on")
