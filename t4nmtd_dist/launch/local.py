@@ -13,6 +13,7 @@ from pathlib import Path
 
 from t4nmtd_dist.errors import ConfigError, RunError
 from t4nmtd_dist.runs.directory import ENDPOINTS_FILE
+from t4nmtd_dist.runs.links import open_to_append
 
 START_DEADLINE_S = 60.0
 END_DEADLINE_S = 20.0  # time in which workers write their last checkpoints; most need a second
@@ -172,7 +173,7 @@ def _role(package: str) -> list[str]:
 
 def _spawn(command: list[str], log: Path) -> subprocess.Popen[bytes]:
     environment = {**os.environ, "OMP_NUM_THREADS": "1", "MKL_NUM_THREADS": "1"}
-    with log.open("ab") as file:
+    with open_to_append(log) as file:
         return subprocess.Popen(command, stdout=file, stderr=file, env=environment, start_new_session=True)
 
 

@@ -65,6 +65,8 @@ def write_checkpoint(folder: Path, about: Mapping[str, Any], state: Mapping[str,
         RunError: if it cannot be written; those before are left as they are.
     """
     try:
+        if folder.is_symlink():
+            raise OSError("it is a symbolic link, and no checkpoint is written through one")
         folder.mkdir(parents=True, exist_ok=True)
         for left in folder.glob(f"{_UNFINISHED}*"):
             shutil.rmtree(left, ignore_errors=True)
@@ -150,6 +152,9 @@ def newest_checkpoint(folder: Path, fits: Callable[[State], bool], warn: Warn) -
         fits: whether a checkpoint about this is meant; others are passed over in silence.
         warn: told of every damaged one that is passed over.
     """
+    if folder.is_symlink():
+        warn(f"{folder} is a symbolic link: the checkpoints behind it are not read")
+        return None
     for number in _numbers(folder):
         path = folder / _name(number)
         try:
@@ -163,6 +168,9 @@ def newest_checkpoint(folder: Path, fits: Callable[[State], bool], warn: Warn) -
 
 
 def _read(path: Path, fits: Callable[[State], bool]) -> Checkpoint | None:
+    for part in (path, path / MANIFEST_FILE, path / STATE_FILE, path / ARRAYS_FILE):
+        if part.is_symlink():
+            raise _DamagedError(f"{part.name} is a symbolic link, which is not followed")
     files = _manifest(path)
     told = json.loads(_checked(path, STATE_FILE, files))
     if not fits(told["about"]):

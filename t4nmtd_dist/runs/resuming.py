@@ -12,7 +12,15 @@ import msgspec
 
 from t4nmtd_dist.config import TaskConfig, read_toml, task_config
 from t4nmtd_dist.errors import ConfigError, RunError
-from t4nmtd_dist.runs.directory import CHECKPOINTS_FOLDER, CONFIG_FILE, SUMMARY_FILE, read_summary, write_atomically
+from t4nmtd_dist.runs.directory import (
+    CHECKPOINTS_FOLDER,
+    CONFIG_FILE,
+    SUMMARY_FILE,
+    check_own_files,
+    read_summary,
+    write_atomically,
+)
+from t4nmtd_dist.runs.links import open_fresh
 from t4nmtd_dist.runs.state_tree import State
 
 IDENTITY_FILE = "run.json"
@@ -79,6 +87,7 @@ def read_stopped_run(run: Path) -> StoppedRun:
         RunError: if there is none, or it kept no checkpoints.
     """
     run = run.resolve() if run.is_symlink() else run  # `latest`, which a resume points at the run
+    _check_files(run)
     if not (run / CONFIG_FILE).exists():
         raise RunError(f"{run} holds no run to resume: there is no {CONFIG_FILE} in it")
     try:
@@ -96,6 +105,13 @@ def read_stopped_run(run: Path) -> StoppedRun:
     return StoppedRun(run, config, int(seed), identity, str(summary.get("outcome") or ""), spent)
 
 
+def _check_files(run: Path) -> None:
+    try:
+        check_own_files(run)
+    except OSError as error:
+        raise RunError(f"{run} cannot be resumed: {error}") from None
+
+
 def checkpoint_folder(checkpoints: Path, place: str) -> Path:
     """Where the checkpoints of a sub-task's learner are; ``~p1`` is ``not-p1`` in file names."""
     name = place.replace("~", "not-")
@@ -105,7 +121,8 @@ def checkpoint_folder(checkpoints: Path, place: str) -> Path:
 def write_counts(checkpoints: Path, counts: State) -> None:
     """Replace the counts kept between checkpoints; not fsynced, so that it can be done every second."""
     fresh = checkpoints / f".{COUNTS_FILE}.new"
-    fresh.write_text(json.dumps(counts), encoding="utf-8")
+    with open_fresh(fresh) as file:
+        file.write(json.dumps(counts))
     os.replace(fresh, checkpoints / COUNTS_FILE)
 
 
