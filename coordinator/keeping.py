@@ -7,9 +7,12 @@ from pathlib import Path
 
 from coordinator.saved_state import load_saved_state, raise_counts, saved_counts, saved_state
 from coordinator.state import CoordinatorState
+from t4nmtd_dist.errors import RunError
 from t4nmtd_dist.runs.background import BackgroundWriter
 from t4nmtd_dist.runs.checkpoints import Warn, delete_checkpoints, newest_checkpoint
-from t4nmtd_dist.runs.resuming import COORDINATOR, read_counts, write_counts
+from t4nmtd_dist.runs.counts import COUNTS_FILE, counts_of_summary, read_counts, write_counts
+from t4nmtd_dist.runs.directory import SUMMARY_FILE, read_summary
+from t4nmtd_dist.runs.resuming import COORDINATOR
 from t4nmtd_dist.runs.state_tree import State
 
 COUNTS_EVERY_S = 1.0
@@ -76,8 +79,20 @@ def go_on(state: CoordinatorState, checkpoints: Path, warn: Warn) -> str:
     found = newest_checkpoint(checkpoints / COORDINATOR, lambda told: told == about, warn)
     if found is not None:
         load_saved_state(state, found.state)
-    counts = read_counts(checkpoints)
-    if counts is not None and counts.get("run_id") == state.settings.run_id:
+    counts, source = read_counts(checkpoints, warn), COUNTS_FILE
+    if counts is None and found is None:
+        counts, source = _counts_of_summary(checkpoints.parent, state.settings.run_id), SUMMARY_FILE
+    spent = counts is not None and counts["run_id"] == state.settings.run_id
+    if counts is not None and spent:
         raise_counts(state, counts)
-    source = "no checkpoint: it had not kept one yet" if found is None else f"checkpoint {found.path.name}"
-    return f"resumed after {state.interactions} interactions from {source}"
+    if found is not None:
+        return f"resumed after {state.interactions} interactions from checkpoint {found.path.name}"
+    known = f"{source} has what was spent" if spent else "what was spent is not known"
+    return f"resumed after {state.interactions} interactions from no checkpoint: {known}; Q and evaluations begin anew"
+
+
+def _counts_of_summary(run: Path, run_id: str) -> State | None:
+    try:
+        return counts_of_summary(read_summary(run), run_id)
+    except RunError:  # none, or a damaged one
+        return None

@@ -2,20 +2,29 @@
 
 from __future__ import annotations
 
+import json
 import os
 import re
 from pathlib import Path
 
 import numpy as np
 import pytest
+from coordinator_events import Conversation
+from hypothesis import given
+from hypothesis import strategies as st
+from test_resume import talked
 from test_resume_plan import stopped_run
 
+from coordinator.keeping import go_on
+from coordinator.saved_state import saved_counts, saved_state
+from coordinator.snapshot import summary
 from t4nmtd_dist.cli.options import RunOptions
 from t4nmtd_dist.cli.plan import plan_run
 from t4nmtd_dist.errors import RunError
 from t4nmtd_dist.runs.checkpoints import newest_checkpoint, write_checkpoint
+from t4nmtd_dist.runs.counts import read_counts, write_counts
 from t4nmtd_dist.runs.directory import RunDirectory
-from t4nmtd_dist.runs.resuming import write_counts
+from t4nmtd_dist.runs.resuming import read_stopped_run
 
 NAMES = [
     "config.toml",
@@ -129,3 +138,124 @@ def test_no_checkpoint_is_written_through_a_link(tmp_path: Path) -> None:
     with pytest.raises(RunError, match="symbolic link"):
         write_checkpoint(tmp_path / "p1", {}, {"number": 1})
     assert os.listdir(tmp_path / "outside") == []
+
+
+# Damage
+
+DAMAGED = {
+    "empty": b"",
+    "cut off": b'{"run_id": "", "totals": {"p1',
+    "a list": b"[]",
+    "nothing": b"null",
+    "no text": b"\xff\xfe\x00",
+    "other types": b'{"run_id": "", "interactions_total": "many", "outcome": 7, "totals": [], "epochs": 1}',
+    "out of range": b'{"run_id": "", "interactions_total": -5, "elapsed_s": NaN, "evaluated": -1, "totals": {"p1": 1}}',
+    "too deep": b"[" * 100_000,
+}
+
+
+@pytest.mark.parametrize("how", DAMAGED)
+def test_damaged_counts_and_summary_do_not_block_a_resume_from_whole_checkpoints(how: str, tmp_path: Path) -> None:
+    run, talk = stopped_run(tmp_path), talked()
+    write_checkpoint(
+        run / "checkpoints" / "coordinator", {"run_id": "", "place": "coordinator"}, saved_state(talk.state)
+    )
+    (run / "summary.json").write_bytes(DAMAGED[how])
+    (run / "checkpoints" / "counts.json").write_bytes(DAMAGED[how])
+    stopped = plan_run(RunOptions(resume=run)).stopped
+    assert stopped is not None
+    assert [text.split(" ")[0] for text in stopped.warnings] == [str(run / "summary.json")]
+    warnings: list[str] = []
+    fresh = Conversation()
+    assert "from checkpoint 000001" in go_on(fresh.state, run / "checkpoints", warnings.append)
+    assert fresh.fingerprint() == talk.fingerprint()
+    assert len(warnings) == 1
+    assert "counts.json" in warnings[0]
+
+
+json_values = st.recursive(
+    st.none() | st.booleans() | st.integers() | st.floats() | st.text(),
+    lambda inner: st.lists(inner) | st.dictionaries(st.text(), inner),
+)
+fields = st.fixed_dictionaries(
+    {},
+    optional={
+        "run_id": st.just(""),
+        "elapsed_s": json_values,
+        "epochs": json_values | st.dictionaries(st.sampled_from(["p1", "g"]), json_values),
+        "evaluated": json_values,
+        "totals": json_values | st.dictionaries(st.sampled_from(["p1", "p2"]), json_values),
+        "wall_s": json_values,
+        "learners": json_values | st.dictionaries(st.sampled_from(["p1", "p2"]), json_values),
+    },
+)
+
+
+@given(counts=st.binary() | fields, told=st.binary() | fields)
+def test_whatever_counts_and_summary_hold_a_resume_goes_on(
+    counts: object, told: object, tmp_path_factory: pytest.TempPathFactory
+) -> None:
+    run = tmp_path_factory.mktemp("run")
+    (run / "checkpoints").mkdir()
+    for path, content in ((run / "checkpoints" / "counts.json", counts), (run / "summary.json", told)):
+        path.write_bytes(content if isinstance(content, bytes) else json.dumps(content).encode())
+    fresh = Conversation()
+    go_on(fresh.state, run / "checkpoints", [].append)
+    assert fresh.state.interactions >= 0
+    assert fresh.state.elapsed_s >= 0
+    fresh.tick()
+
+
+def gone(folder: Path) -> Path:
+    """A run whose coordinator has kept counts and a summary, and has no checkpoint any more."""
+    run, talk = stopped_run(folder), talked()
+    (run / "summary.json").write_text(json.dumps(summary(talk.state)), encoding="utf-8")
+    write_counts(run / "checkpoints", {"run_id": "", **saved_counts(talk.state)})
+    return run
+
+
+@pytest.mark.parametrize("damaged", [True, False])
+def test_a_summary_stands_in_for_checkpoints_and_counts_that_are_gone(damaged: bool, tmp_path: Path) -> None:
+    run = gone(tmp_path)
+    counts = run / "checkpoints" / "counts.json"
+    if damaged:
+        counts.write_bytes(b"{")
+        write_checkpoint(run / "checkpoints" / "coordinator", {"run_id": "", "place": "coordinator"}, {})
+        (run / "checkpoints" / "coordinator" / "000001" / "state.json").write_bytes(b"{")
+    else:
+        counts.unlink()
+    fresh, warnings = Conversation(max_interactions=9500), list[str]()
+    says = go_on(fresh.state, run / "checkpoints", warnings.append)
+    assert says == (
+        "resumed after 9000 interactions from no checkpoint: summary.json has what was spent; Q and evaluations begin anew"
+    )
+    assert fresh.state.elapsed_s == 40.0
+    assert fresh.state.records["p1"].total.attempts == 7
+    assert fresh.state.records["p1"].total.successes == 3
+    assert fresh.state.outcome is None
+    assert len(warnings) == 2 * damaged
+
+
+def test_counts_stand_in_for_checkpoints_that_are_gone(tmp_path: Path) -> None:
+    fresh = Conversation()
+    says = go_on(fresh.state, gone(tmp_path) / "checkpoints", pytest.fail)
+    assert says == (
+        "resumed after 9000 interactions from no checkpoint: counts.json has what was spent; Q and evaluations begin anew"
+    )
+    assert fresh.claim("p1").epoch == 2
+
+
+def test_a_budget_that_counts_say_is_spent_stays_spent_when_the_summary_is_damaged(tmp_path: Path) -> None:
+    run, talk = stopped_run(tmp_path, outcome="budget spent"), talked()
+    write_counts(run / "checkpoints", {"run_id": "", **saved_counts(talk.state), "outcome": "budget spent"})
+    (run / "summary.json").write_bytes(b"{")
+    stopped = read_stopped_run(run)
+    assert (stopped.outcome, stopped.interactions) == ("budget spent", 9000)
+    with pytest.raises(RunError, match="--max-interactions"):
+        plan_run(RunOptions(resume=run))
+
+
+def test_saved_counts_are_read_back_as_they_were(tmp_path: Path) -> None:
+    counts = {"run_id": "", "place": "coordinator", **saved_counts(talked().state)}
+    write_counts(tmp_path, counts)
+    assert read_counts(tmp_path) == json.loads(json.dumps(counts))

@@ -231,7 +231,9 @@ def read_summary(path: Path) -> dict[str, Any]:
         RunError: if there is none, or it is damaged.
     """
     try:
-        summary: dict[str, Any] = json.loads((path / SUMMARY_FILE).read_text(encoding="utf-8"))
-    except (OSError, ValueError) as error:
+        summary = json.loads((path / SUMMARY_FILE).read_text(encoding="utf-8"))
+    except (OSError, ValueError, RecursionError) as error:
         raise RunError(f"no readable {SUMMARY_FILE} in {path}: {error}") from None
+    if not isinstance(summary, dict):
+        raise RunError(f"no readable {SUMMARY_FILE} in {path}: expected an object, found {type(summary).__name__}")
     return summary
