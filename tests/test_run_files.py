@@ -226,9 +226,8 @@ def test_a_summary_stands_in_for_checkpoints_and_counts_that_are_gone(damaged: b
         counts.unlink()
     fresh, warnings = Conversation(max_interactions=9500), list[str]()
     says = go_on(fresh.state, run / "checkpoints", warnings.append)
-    assert says == (
-        "resumed after 9000 interactions from no checkpoint: summary.json has what was spent; Q and evaluations begin anew"
-    )
+    spent = "resumed after 9000 interactions from no checkpoint: summary.json has what was spent"
+    assert says == f"{spent}; Q and evaluations begin anew"
     assert fresh.state.elapsed_s == 40.0
     assert fresh.state.records["p1"].total.attempts == 7
     assert fresh.state.records["p1"].total.successes == 3
@@ -239,9 +238,8 @@ def test_a_summary_stands_in_for_checkpoints_and_counts_that_are_gone(damaged: b
 def test_counts_stand_in_for_checkpoints_that_are_gone(tmp_path: Path) -> None:
     fresh = Conversation()
     says = go_on(fresh.state, gone(tmp_path) / "checkpoints", pytest.fail)
-    assert says == (
-        "resumed after 9000 interactions from no checkpoint: counts.json has what was spent; Q and evaluations begin anew"
-    )
+    spent = "resumed after 9000 interactions from no checkpoint: counts.json has what was spent"
+    assert says == f"{spent}; Q and evaluations begin anew"
     assert fresh.claim("p1").epoch == 2
 
 
