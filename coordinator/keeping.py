@@ -8,15 +8,18 @@ from pathlib import Path
 from coordinator.saved_state import load_saved_state, raise_counts, saved_counts, saved_state
 from coordinator.state import CoordinatorState
 from t4nmtd_dist.errors import RunError
+from t4nmtd_dist.learners.actors import acting_parameters
 from t4nmtd_dist.runs.background import BackgroundWriter
-from t4nmtd_dist.runs.checkpoints import Warn, delete_checkpoints, newest_checkpoint
+from t4nmtd_dist.runs.checkpoints import Warn, delete_checkpoints, keep_newest_only, newest_checkpoint
 from t4nmtd_dist.runs.counts import COUNTS_FILE, counts_of_summary, read_counts, write_counts
 from t4nmtd_dist.runs.directory import SUMMARY_FILE, read_summary
+from t4nmtd_dist.runs.reserve import Reserve
 from t4nmtd_dist.runs.resuming import COORDINATOR
 from t4nmtd_dist.runs.state_tree import State
 
 COUNTS_EVERY_S = 1.0
 TROUBLE_S = 60.0
+RESULT_OVERHEAD = 2**20  # bytes of a result besides the weights of its actors
 
 
 class StateKeeper:
@@ -33,6 +36,7 @@ class StateKeeper:
         self._state, self._checkpoints, self._every_s = state, checkpoints, every_s
         self._tell = tell
         self._writer = BackgroundWriter(tell)
+        self._reserve = Reserve(checkpoints.parent)
         self._counts_due = 0.0
         self._due = time.monotonic() + every_s
 
@@ -45,6 +49,7 @@ class StateKeeper:
         now = time.monotonic()
         if now >= self._counts_due:
             self._counts_due = now + (COUNTS_EVERY_S if self._write_counts() else TROUBLE_S)
+            self._reserve.hold(result_size(self._state))
         if now >= self._due and not self._writer.busy:
             self._due = now + self._every_s
             self._writer.begin(self._checkpoints / COORDINATOR, self._about, saved_state(self._state))
@@ -57,14 +62,28 @@ class StateKeeper:
             return False
         return True
 
-    def finish(self) -> None:
-        """Write everything a last time; a solved run needs no checkpoints any more."""
+    def make_room(self) -> None:
+        """Give the reserve back, and delete all but the newest checkpoint of each process."""
         self._writer.wait()
+        self._reserve.release()
+        keep_newest_only(self._checkpoints)
+
+    def finish(self, *, written: bool = True) -> None:
+        """Write everything a last time; a solved run whose result is ``written`` needs no checkpoints any more."""
+        self._writer.wait()
+        self._reserve.release()
         self._write_counts()
-        if self._state.outcome == "solved":
+        if self._state.outcome == "solved" and written:
             delete_checkpoints(self._checkpoints / COORDINATOR)
         else:
             self._writer.write(self._checkpoints / COORDINATOR, self._about, saved_state(self._state))
+
+
+def result_size(state: CoordinatorState) -> int:
+    """About how many bytes the result of a run takes; 0 before there is a policy."""
+    weights = [acting_parameters(record.weights) for record in state.records.values() if record.version]
+    size = sum(int(array.nbytes) for named in weights for array in named.values())
+    return size + RESULT_OVERHEAD if weights else 0
 
 
 def go_on(state: CoordinatorState, checkpoints: Path, warn: Warn) -> str:

@@ -21,6 +21,7 @@ def saved_state(state: CoordinatorState) -> State:
         "evaluations": state.evaluations.state(),
         "events": msgspec.to_builtins(list(state.events)),
         "snapshot": state.snapshot,
+        "solved": state.outcome == "solved",
         "counts": saved_counts(state),
     }
 
@@ -35,6 +36,8 @@ def load_saved_state(state: CoordinatorState, saved: State) -> None:
     state.events.extend(msgspec.convert(saved["events"], list[EventLine]))
     state.snapshot = saved["snapshot"]
     _raise_clock(state, saved["counts"])
+    if saved.get("solved", False):
+        state.outcome = "solved"
 
 
 def saved_counts(state: CoordinatorState) -> State:

@@ -128,6 +128,7 @@ class CoordinatorState:
         """Take one event; the actions are to be carried out in order."""
         if not self._clock_started:
             self.began, self._clock_started = event.now, True
+            self._ended = event.now if self.outcome is not None else None  # it was loaded
         self.now = event.now
         if isinstance(event, Received):
             return self._receive(event)

@@ -21,6 +21,7 @@ from t4nmtd_dist.wire.keys import ClientKeys, load_client
 
 SOLVED, BUDGET_SPENT, STOPPED = 0, 3, 130
 LAST_STATE_S = 15.0
+RESULT_S = 90.0  # in which a coordinator that finds no room for its result gives up
 
 
 class _Interrupted:
@@ -80,7 +81,7 @@ def train(
         _watch(processes, publish, interrupted, dashboard, own)
         if interrupted.seen:
             processes.interrupt()
-        code = processes.coordinator_exit_code(LAST_STATE_S)
+        code = _last_word(processes, interrupted)
     finally:
         processes.end()
     if interrupted.seen:
@@ -136,6 +137,17 @@ def _watch(
             time.sleep(0.1)
 
 
+def _last_word(processes: LocalProcesses, interrupted: _Interrupted) -> int | None:
+    """The coordinator's exit code; None if it does not end in time."""
+    code = processes.coordinator_exit_code(LAST_STATE_S)
+    if code is None and not interrupted.seen:
+        _say(f"the coordinator is still writing the result; its log is in {processes.run_dir / 'logs'}")
+    deadline = time.monotonic() + RESULT_S
+    while code is None and not interrupted.seen and time.monotonic() < deadline:
+        code = processes.coordinator_exit_code(1.0)
+    return code
+
+
 def _report(directory: Path) -> None:
     summary = read_summary(directory)
     print(
@@ -152,6 +164,8 @@ def train_serial(options: RunOptions, *, device: Device = "cpu") -> int:
     """Train in one process, in lock-step; the exit code, and what is raised, as of ``train``."""
     os.environ.setdefault("OMP_NUM_THREADS", "1")
     check_device(device)
+    from coordinator.events import Finish
+    from coordinator.finishing import patience, write_result
     from coordinator.recorder import Recorder
     from coordinator.state import RunSettings
     from t4nmtd_dist.launch.serial import SerialRun
@@ -182,8 +196,9 @@ def train_serial(options: RunOptions, *, device: Device = "cpu") -> int:
             run.stop("interrupted")
     for note in run.notes:
         recorder.record(note)
-    recorder.close()
-    keeper.finish()
+    if plan.resumes and run.coordinator.outcome == "solved":
+        recorder.record(Finish("solved", "the result is written now"))
+    write_result(recorder, keeper, _say, patience(lambda: time.sleep(0.1), lambda: interrupted.seen))
     _report(run_dir.path)
     codes = {"solved": SOLVED, "budget spent": BUDGET_SPENT}
     return codes.get(run.coordinator.outcome or "", STOPPED)

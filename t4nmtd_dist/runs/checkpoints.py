@@ -205,6 +205,15 @@ def _checked(path: Path, name: str, files: Mapping[str, tuple[int, str]]) -> byt
     return data
 
 
+def keep_newest_only(checkpoints: Path) -> None:
+    """Make room in a folder of folders of checkpoints: of each, all but the newest whole one are deleted."""
+    for folder in checkpoints.iterdir() if checkpoints.is_dir() else []:
+        newest = newest_checkpoint(folder, lambda about: True, lambda _: None)
+        for number in _numbers(folder) if newest is not None and not folder.is_symlink() else []:
+            if newest is not None and folder / _name(number) != newest.path:
+                shutil.rmtree(folder / _name(number), ignore_errors=True)
+
+
 def delete_checkpoints(folder: Path) -> None:
     """Delete all checkpoints in a folder; what cannot be deleted stays."""
     shutil.rmtree(folder, ignore_errors=True)

@@ -20,6 +20,7 @@ import tomli_w
 from t4nmtd_dist.config import TaskConfig
 from t4nmtd_dist.errors import RunError
 from t4nmtd_dist.runs.links import open_fresh, open_to_append, refuse_links
+from t4nmtd_dist.runs.reserve import RESERVE_FILE
 from t4nmtd_dist.runs.versions import versions
 
 CONFIG_FILE = "config.toml"
@@ -30,7 +31,7 @@ LOCK_FILE = ".lock"
 VERSIONS_FILE = "versions.json"
 EVENTS_FILE = "events.jsonl"
 ROUNDING_S = 0.001  # of times in the metrics
-FILES = {CONFIG_FILE, SUMMARY_FILE, ENDPOINTS_FILE, LOCK_FILE, VERSIONS_FILE, EVENTS_FILE}
+FILES = {CONFIG_FILE, SUMMARY_FILE, ENDPOINTS_FILE, LOCK_FILE, VERSIONS_FILE, EVENTS_FILE, RESERVE_FILE}
 FOLDERS = {"metrics", "logs", "tensorboard", "policy", CHECKPOINTS_FOLDER}
 
 

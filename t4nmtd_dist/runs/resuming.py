@@ -20,6 +20,7 @@ from t4nmtd_dist.runs.directory import (
     read_summary,
     write_atomically,
 )
+from t4nmtd_dist.runs.state_tree import State
 
 IDENTITY_FILE = "run.json"
 CHECKPOINT_EVERY_S = 300.0
@@ -115,8 +116,14 @@ def _with_end(run: Path, config: TaskConfig, seed: int, identity: Identity) -> S
         counts = read_counts(run / CHECKPOINTS_FOLDER) or {}
         spent = sum(total["interactions"] for total in counts.get("totals", {}).values())
         told = f"{run / SUMMARY_FILE} is damaged ({described(error)}); going on without it"
-        return StoppedRun(run, config, seed, identity, counts.get("outcome") or "", spent, (told,))
+        return StoppedRun(run, config, seed, identity, _outcome(run, counts), spent, (told,))
     return StoppedRun(run, config, seed, identity, outcome or "", spent)
+
+
+def _outcome(run: Path, counts: State) -> str:
+    """How a run ended as far as its counts say; one that was solved has no checkpoints once its result is written."""
+    outcome = str(counts.get("outcome") or "")
+    return "" if outcome == "solved" and (run / CHECKPOINTS_FOLDER / COORDINATOR).exists() else outcome
 
 
 def _check_files(run: Path) -> None:
