@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from coordinator.bulletin import Bulletin
 from coordinator.evaluations import EvaluationSchedule
 from coordinator.events import (
     Action,
@@ -42,6 +43,7 @@ from t4nmtd_dist.wire.messages import (
     Failure,
     Goodbye,
     Granted,
+    Notice,
     Peer,
     Refused,
     Release,
@@ -98,6 +100,7 @@ class CoordinatorState:
         self.now = self.began = 0.0
         self._clock_started = False
         self._lost: set[str] = set()
+        self._bulletin = Bulletin()
         self.snapshot: NDArray[Any] | None = None
         self.earlier_s = 0.0
         self._ended: float | None = None
@@ -156,6 +159,8 @@ class CoordinatorState:
                 return self._evaluation_poll(peer, message, envelope.id)
             if isinstance(message, EvaluationReport):
                 return self._evaluation_report(peer, message)
+            if isinstance(message, Notice):
+                return [self._tell(line) for line in self._bulletin.lines(message.text)]
         except ProtocolError as error:
             return [Send(peer, Failure(text=str(error)), answers=envelope.id)]
         text = f"the coordinator does not take {type(message).__name__} messages"

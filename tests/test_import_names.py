@@ -54,18 +54,50 @@ def test_a_module_in_the_current_folder_is_not_taken_for_ours(name: str, process
 
 
 @pytest.mark.parametrize("program", PROGRAMS)
-@pytest.mark.parametrize("name", ["envs/__init__.py", "envs/office.py", "coordinator.py", "workers/__init__.py"])
+@pytest.mark.parametrize("name", ["envs/__init__.py", "coordinator.py", "workers/__init__.py"])
 def test_what_hides_ours_on_pythonpath_is_named_and_refused(name: str, program: str, processes: Processes) -> None:
     path = processes.folder / "lib" / name
     path.parent.mkdir(parents=True)
     path.write_text(FOREIGN, encoding="utf-8")
     started = processes.start(program, *PROGRAMS[program], env={"PYTHONPATH": str(processes.folder / "lib")})
-    hiding = path if path.name != "office.py" else path.parent
     package = Path(name).parts[0].removesuffix(".py")
     assert started.wait(20) == 2, started.story()
     (line,) = started.err.splitlines()
-    assert line.startswith(f"{program}: {hiding} (found through PYTHONPATH) hides the package {package} of t4nmtd-dist")
+    assert line.startswith(f"{program}: {path} (found through PYTHONPATH) hides the package {package} of t4nmtd-dist")
     assert f"take {processes.folder / 'lib'} out of PYTHONPATH" in line
+
+
+EDITABLE = """
+import importlib.util, sys
+from pathlib import Path
+root = Path({root!r})
+sys.path[:] = [path for path in sys.path if not path or Path(path).resolve() != root]
+
+class Finder:  # as setuptools installs one
+    @classmethod
+    def find_spec(cls, name, path=None, target=None):
+        if name in ("t4nmtd_dist", "coordinator", "workers", "envs"):
+            folder = root / name
+            locations = [str(folder)]
+            return importlib.util.spec_from_file_location(
+                name, folder / "__init__.py", submodule_search_locations=locations
+            )
+
+sys.meta_path.append(Finder)
+sys.path.insert(0, {lib!r})
+from t4nmtd_dist.launch.import_names import check_import_names
+check_import_names()
+"""
+
+
+@pytest.mark.parametrize("hidden", [True, False])
+def test_a_folder_without_init_hides_a_package_of_an_editable_installation(hidden: bool, tmp_path: Path) -> None:
+    (tmp_path / ("envs" if hidden else "others")).mkdir()
+    code = EDITABLE.format(root=str(HERE.parent), lib=str(tmp_path))
+    done = subprocess.run([sys.executable, "-P", "-c", code], capture_output=True, text=True)
+    last = done.stderr.strip().splitlines()[-1:]
+    assert (done.returncode != 0) is hidden, done.stderr
+    assert not hidden or f"{tmp_path / 'envs'} (found in {tmp_path}, where Python looks first) hides" in last[0]
 
 
 @pytest.mark.parametrize("path", [":/nonexistent", ".", "/nonexistent:"])

@@ -7,6 +7,7 @@ import sys
 import time
 from pathlib import Path
 
+from t4nmtd_dist.cli.death_notices import DeathNotices
 from t4nmtd_dist.cli.options import RunOptions
 from t4nmtd_dist.cli.plan import RunPlan, plan_run
 from t4nmtd_dist.compiled import CompiledTask, compile_task
@@ -68,10 +69,12 @@ def train(
     run = RunDirectory(plan.directory, restart=options.restart, resume=plan.resumes)
     directory = run.path
     interrupted = _Interrupted()
-    processes = LocalProcesses(directory)
+    deaths = DeathNotices(own, held=dashboard and _is_live())
+    processes = LocalProcesses(directory, deaths)
     secured = [] if keys is None else ["--keys", str(keys.absolute())]
     try:
         control, publish = processes.start_coordinator([*_coordinator_arguments(options), *secured])
+        deaths.control = control
         kept = ["--checkpoints", str(run.checkpoints), "--checkpoint-every", str(options.checkpoint_every)]
         for name, hand in hands.items():
             places = [flag for pid in hand for flag in ("--pid", pid)]
@@ -83,6 +86,7 @@ def train(
             processes.interrupt()
         code = _last_word(processes, interrupted)
     finally:
+        deaths.print()
         processes.end()
     if interrupted.seen:
         code = STOPPED
@@ -146,6 +150,15 @@ def _last_word(processes: LocalProcesses, interrupted: _Interrupted) -> int | No
     while code is None and not interrupted.seen and time.monotonic() < deadline:
         code = processes.coordinator_exit_code(1.0)
     return code
+
+
+def _is_live() -> bool:
+    """Whether a dashboard takes the whole terminal."""
+    from rich.console import Console
+
+    from coordinator.viewer import wants_plain
+
+    return not wants_plain(Console())
 
 
 def _report(directory: Path) -> None:

@@ -175,6 +175,12 @@ class StatusRequest(Message, frozen=True, tag="status_request"):
     """Anyone -> coordinator: how is the run? Changes nothing."""
 
 
+class Notice(Message, frozen=True, tag="notice"):
+    """Launcher -> coordinator: something that belongs into the event log, such as how a worker ended. Not answered."""
+
+    text: str
+
+
 class Failure(Message, frozen=True, tag="failure"):
     """Answer to a message that could not be understood."""
 
@@ -333,6 +339,7 @@ KINDS: dict[str, type[Message]] = {
         Goodbye,
         StatusRequest,
         Status,
+        Notice,
         Failure,
         ValueRequest,
         ValueReply,
