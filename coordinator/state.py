@@ -28,6 +28,7 @@ from coordinator.events import (
 from coordinator.leases import Lease, LeaseTable
 from coordinator.progress import ReceivedProgress, read_progress, stack_starts
 from coordinator.records import LearnerRecord
+from coordinator.stuck import StuckWatch
 from t4nmtd_dist.compiled import CompiledTask
 from t4nmtd_dist.errors import ProtocolError
 from t4nmtd_dist.initial_state_buffer import InitialStateBuffer
@@ -100,7 +101,7 @@ class CoordinatorState:
         self.now = self.began = 0.0
         self._clock_started = False
         self._lost: set[str] = set()
-        self._bulletin = Bulletin()
+        self._bulletin, self._stuck = Bulletin(), StuckWatch()
         self.snapshot: NDArray[Any] | None = None
         self.earlier_s = 0.0
         self._ended: float | None = None
@@ -258,8 +259,10 @@ class CoordinatorState:
         if not self.leases.renew(sync.pid, sync.epoch, peer, self.now):
             return self._refuse_stale(peer, sync, answers)
         self._accept(sync, event.envelope.arrays)
-        back = [self._tell(f"{sync.pid} heard again")] if sync.pid in self._lost else []
+        back: list[Action] = [self._tell(f"{sync.pid} heard again")] if sync.pid in self._lost else []
         self._lost.discard(sync.pid)
+        news = self._stuck.news(sync.pid, self.records, self.task, self.elapsed_s)
+        back += [self._tell(line) for line in news]
         reply = self._reply(peer, sync, self.records[sync.pid], answers)
         if self.interactions >= self.settings.max_interactions:
             return [*back, reply, *self._finish("budget spent", f"{self.interactions} interactions")]

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+import time
 
 import msgspec
 import numpy as np
@@ -11,7 +12,7 @@ import pytest
 from coordinator_events import Conversation, of
 from hypothesis import given
 from hypothesis import strategies as st
-from small_tasks import INTO_HOLE, TO_PASSENGER_2, small_learner, small_task
+from small_tasks import INTO_HOLE, PICK, TO_PASSENGER_2, small_learner, small_task
 
 from coordinator.events import Tell
 from coordinator.records import LearnerRecord
@@ -36,11 +37,9 @@ STUCK = LearnerStats(
 )
 
 
-def record(stats: LearnerStats, starts: int = 0) -> LearnerRecord:
+def record(stats: LearnerStats) -> LearnerRecord:
     made = LearnerRecord(InitialStateBuffer(10))
     made.update(stats, 0.0)
-    for number in range(starts):
-        made.buffer.add(0, np.array([number]))
     return made
 
 
@@ -142,11 +141,11 @@ def test_attempts_count_how_they_end() -> None:
     learner = small_learner("p2", "ppo.worlds=1", "learner.attempt_steps=8")
     attempts = learner.attempts
     assert attempts.begin()
-    for way in (INTO_HOLE, (0,) * 8, TO_PASSENGER_2, INTO_HOLE):
+    for way in (INTO_HOLE, (0,) * 8, (*TO_PASSENGER_2, PICK), INTO_HOLE):
         for action in way:
             attempts.step(np.array([action]))
     assert (attempts.attempts, attempts.successes) == (4, 1)
-    assert (attempts.endings.errors, attempts.endings.timeouts, attempts.endings.terminated) == (2, 1, 0)
+    assert (attempts.endings.errors, attempts.endings.timeouts, attempts.endings.terminated) == (0, 1, 2)
     other = small_learner("p2", "ppo.worlds=1", "learner.attempt_steps=8").attempts
     other.load_state(attempts.state())
     assert other.endings == attempts.endings
@@ -154,6 +153,15 @@ def test_attempts_count_how_they_end() -> None:
     old["counts"] = old["counts"][:3]
     other.load_state(old)
     assert (other.attempts, other.endings.errors) == (4, 0)
+
+
+def test_attempts_that_break_the_formula_count_as_errors() -> None:
+    flags = ("formula=F(p1) & G(!p2)", "ppo.worlds=1", "learner.attempt_steps=8")
+    attempts = small_learner("p1", *flags).attempts
+    assert attempts.begin()
+    for action in (*TO_PASSENGER_2, PICK):
+        attempts.step(np.array([action]))
+    assert (attempts.attempts, vars(attempts.endings)) == (1, {"errors": 1, "terminated": 0, "timeouts": 0})
 
 
 def test_endings_are_counted_since_the_lease_began_and_added_over_epochs() -> None:
@@ -166,7 +174,7 @@ def test_endings_are_counted_since_the_lease_began_and_added_over_epochs() -> No
 
 
 def test_a_real_run_whose_attempts_are_too_short_says_so() -> None:
-    run = SerialRun(small_task("learner.attempt_steps=2"), RunSettings(0, 10**9, lease_s=float("inf")), lambda: 0.0)
+    run = SerialRun(small_task("learner.attempt_steps=2"), RunSettings(0, 10**9, lease_s=float("inf")), time.monotonic)
     for _ in range(300):
         run.round()
         if any("reached a target" in event.text for event in run.coordinator.events):
