@@ -6,16 +6,21 @@ import os
 import shutil
 import subprocess
 import sys
+import tomllib
 from collections.abc import Iterator
 from pathlib import Path
 
 import gymnasium
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 from processes import Processes, events
 from small_tasks import own_task
 
 import envs
 import workers
+from coordinator.bulletin import Bulletin
+from t4nmtd_dist.cli import programs
 from t4nmtd_dist.config import EnvironmentConfig
 from t4nmtd_dist.environments.opening import import_function, open_environment
 from t4nmtd_dist.errors import WorldError
@@ -48,6 +53,16 @@ def test_a_module_in_the_current_folder_is_not_taken_for_ours(name: str, process
     path.write_text(FOREIGN, encoding="utf-8")
     started = processes.start("t4nmtd", "train", "--task", "task7", "--run-dir", "run", *SHORT)
     assert started.wait(60) in (0, 3), started.story()
+
+
+def test_every_program_starts_with_the_check() -> None:
+    settings = tomllib.loads((HERE.parent / "pyproject.toml").read_text(encoding="utf-8"))
+    scripts = settings["project"]["scripts"]
+    assert set(scripts) == set(PROGRAMS)
+    for entry in scripts.values():
+        module, _, name = entry.partition(":")
+        assert module == programs.__name__
+        assert callable(getattr(programs, name))
 
 
 # On PYTHONPATH
@@ -279,6 +294,19 @@ def test_a_worker_that_dies_at_start_is_reported_at_once_with_its_last_lines(pro
     processes.until(lambda: any("no licence" in text for text in events(run)), "so does the event log", 10)
     processes.until_state(run, lambda s: any("no licence" in e.text for e in s.events), "and the dashboard", 10)
     assert any(text.startswith("worker evaluator ended with code 7") for text in events(run))
+
+
+@given(st.text(max_size=3000), st.integers(1, 400))
+def test_a_notice_fills_neither_the_event_log_nor_the_screen(text: str, times: int) -> None:
+    bulletin = Bulletin()
+    taken = [bulletin.lines(text) for _ in range(times)]
+    assert all(len(lines) <= 6 for lines in taken)
+    assert sum(map(len, taken)) <= 1000
+    assert all(line and line.isprintable() and len(line) <= 300 for lines in taken for line in lines)
+
+
+def test_a_notice_keeps_its_first_line_and_the_last_ones() -> None:
+    assert Bulletin().lines("\n".join("abcdefghij")) == ["a", "f", "g", "h", "i", "j"]
 
 
 def test_processes_are_started_without_the_current_folder_on_their_path(tmp_path: Path) -> None:
