@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import shutil
+import signal
 import subprocess
 import sys
 import tomllib
@@ -14,7 +15,7 @@ import gymnasium
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from processes import Processes, events
+from processes import Processes, events, worker_number
 from small_tasks import own_task
 
 import envs
@@ -307,6 +308,19 @@ def test_a_notice_fills_neither_the_event_log_nor_the_screen(text: str, times: i
 
 def test_a_notice_keeps_its_first_line_and_the_last_ones() -> None:
     assert Bulletin().lines("\n".join("abcdefghij")) == ["a", "f", "g", "h", "i", "j"]
+
+
+def test_a_worker_killed_from_outside_is_told_in_the_event_log_and_on_the_terminal_if_it_is_killed_again(
+    processes: Processes,
+) -> None:
+    run = processes.folder / "run"
+    started = processes.start("t4nmtd", "train", "--task", "task8", "--run-dir", str(run), "--no-dashboard")
+    for times in (1, 2):
+        processes.until(lambda: f"evaluator takes evaluator (epoch {times})" in events(run), "it evaluates")  # noqa: B023
+        os.kill(worker_number(run, "evaluator") or 0, signal.SIGKILL)
+        says = "worker evaluator was killed by SIGKILL"
+        processes.until(lambda: sum(says in text for text in events(run)) == times, "the event log has it")  # noqa: B023
+        assert started.err.count(says) == times - 1
 
 
 def test_processes_are_started_without_the_current_folder_on_their_path(tmp_path: Path) -> None:

@@ -29,9 +29,10 @@ class DeathNotices:
         self._keys, self._held = keys, held
         self._texts: list[str] = []
 
-    def __call__(self, text: str) -> None:
-        """Tell it at once; the terminal has all of it even if the coordinator does not answer."""
-        self._texts.append(text)
+    def __call__(self, text: str, deserves_attention: bool) -> None:
+        """Tell it at once: in the event log always, on the terminal if it deserves attention."""
+        if deserves_attention:
+            self._texts.append(text)
         if not self._held:
             self.print()
         if self.control:

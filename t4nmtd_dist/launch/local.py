@@ -21,6 +21,7 @@ END_DEADLINE_S = 20.0  # time in which workers write their last checkpoints; mos
 RESTART_PAUSE_S = 0.5
 MOST_RESTARTS = 20
 LONGEST_NAME = 100
+KILLED_BY = (signal.SIGKILL, signal.SIGTERM, signal.SIGINT, signal.SIGHUP)  # somebody's wish, not a crash
 
 
 def dealt(pids: Sequence[str], workers: int | None) -> dict[str, list[str]]:
@@ -68,11 +69,11 @@ class LocalProcesses:
 
     Args:
         run_dir: the run directory; every process logs into its ``logs`` folder.
-        report: called with what is known of a worker that has died, at once.
+        report: called at once with what is known of a worker that has died, and whether that deserves attention.
     """
 
     run_dir: Path
-    report: Callable[[str], None] = lambda _: None
+    report: Callable[[str, bool], None] = lambda *_: None
     _children: dict[str, _Child] = field(default_factory=dict)
     _coordinator: subprocess.Popen[bytes] | None = None
 
@@ -127,7 +128,7 @@ class LocalProcesses:
     def _revive(self, child: _Child) -> None:
         now = time.monotonic()
         if child.restart_at is None:
-            self.report(_obituary(child))
+            self.report(_obituary(child), _deserves_attention(child))
             child.restart_at = now + RESTART_PAUSE_S * 2 ** min(child.restarts, 5)
         if now < child.restart_at:
             return
@@ -190,6 +191,11 @@ def _last_words(log: Path, code: int | None) -> str:
     if said.startswith("t4nmtd-coordinator: "):
         return said.removeprefix("t4nmtd-coordinator: ")
     return f"the coordinator ended with code {code} before the run was over; see {log}\n{said}".rstrip()
+
+
+def _deserves_attention(child: _Child) -> bool:
+    """Whether a worker failed by itself, or was killed from outside and not for the first time."""
+    return child.restarts > 0 or -child.process.returncode not in KILLED_BY
 
 
 def _obituary(child: _Child) -> str:
