@@ -47,7 +47,7 @@ from coordinator.state import CoordinatorState, RunSettings
 from envs.racecar_track import TARGET_RADIUS, TARGETS, on_track
 from t4nmtd_dist.compiled import compile_task
 from t4nmtd_dist.environments.preparation import prepared
-from t4nmtd_dist.launch.local import dealt
+from t4nmtd_dist.launch.local import dealt, role
 from t4nmtd_dist.runs.directory import CHECKPOINTS_FOLDER, CONFIG_FILE, ENDPOINTS_FILE
 from t4nmtd_dist.tasks import load_task
 from t4nmtd_dist.wire.inquiry import Inquiry
@@ -132,7 +132,7 @@ class Run:
             places = [part for pid in hand for part in ("--pid", pid)]
             if self.resume is not None:
                 places += ["--checkpoints", str(self.folder / "run" / CHECKPOINTS_FOLDER), *SELDOM]
-            self._spawn([sys.executable, "-m", "workers", "--connect", control, "--instance", name, *places], name)
+            self._spawn([*role("worker"), "--connect", control, "--instance", name, *places], name)
         self.inquiry = Inquiry(new_context(), control)
         self.inquiry.agree(ANSWER_S)
 
@@ -149,7 +149,7 @@ class Run:
         settings = tomllib.loads((run / CONFIG_FILE).read_text(encoding="utf-8"))
         settings["learner"]["intervention"] = self.mode.intervention
         (run / CONFIG_FILE).write_text(tomli_w.dumps(settings), encoding="utf-8")
-        command = [sys.executable, "-m", "coordinator", "--resume", str(run), "--no-dashboard", *SELDOM]
+        command = [*role("coordinator"), "--resume", str(run), "--no-dashboard", *SELDOM]
         command += ["--bind", LOOPBACK, "--publish", LOOPBACK, "--lease", "1e9"]
         return [*command, "--max-interactions", str(BUDGET)]
 

@@ -8,13 +8,19 @@ from pathlib import Path
 from coordinator.kept_policy import keep_exported
 from coordinator.saved_state import load_saved_state, raise_counts, saved_counts, saved_state
 from coordinator.state import CoordinatorState
+from t4nmtd_dist.errors import RunError
+from t4nmtd_dist.learners.actors import acting_parameters
 from t4nmtd_dist.runs.background import BackgroundWriter
-from t4nmtd_dist.runs.checkpoints import Warn, delete_checkpoints, newest_checkpoint
-from t4nmtd_dist.runs.resuming import COORDINATOR, read_counts, write_counts
+from t4nmtd_dist.runs.checkpoints import Warn, delete_checkpoints, keep_newest_only, newest_checkpoint
+from t4nmtd_dist.runs.counts import COUNTS_FILE, counts_of_summary, read_counts, write_counts
+from t4nmtd_dist.runs.directory import SUMMARY_FILE, read_summary
+from t4nmtd_dist.runs.reserve import Reserve
+from t4nmtd_dist.runs.resuming import COORDINATOR
 from t4nmtd_dist.runs.state_tree import State
 
 COUNTS_EVERY_S = 1.0
 TROUBLE_S = 60.0
+RESULT_OVERHEAD = 2**20  # bytes of a result besides the weights of its actors
 
 
 class StateKeeper:
@@ -31,6 +37,7 @@ class StateKeeper:
         self._state, self._checkpoints, self._every_s = state, checkpoints, every_s
         self._tell = tell
         self._writer = BackgroundWriter(tell)
+        self._reserve = Reserve(checkpoints.parent)
         self._counts_due = 0.0
         self._due = time.monotonic() + every_s
 
@@ -43,6 +50,7 @@ class StateKeeper:
         now = time.monotonic()
         if now >= self._counts_due:
             self._counts_due = now + (COUNTS_EVERY_S if self._write_counts() else TROUBLE_S)
+            self._reserve.hold(result_size(self._state))
         if now >= self._due and not self._writer.busy:
             self._due = now + self._every_s
             self._writer.begin(self._checkpoints / COORDINATOR, self._about, saved_state(self._state))
@@ -55,14 +63,28 @@ class StateKeeper:
             return False
         return True
 
-    def finish(self) -> None:
-        """Write everything a last time; a solved run needs no checkpoints any more."""
+    def make_room(self) -> None:
+        """Give the reserve back, and delete all but the newest checkpoint of each process."""
         self._writer.wait()
+        self._reserve.release()
+        keep_newest_only(self._checkpoints)
+
+    def finish(self, *, written: bool = True) -> None:
+        """Write everything a last time; a solved run whose result is ``written`` needs no checkpoints any more."""
+        self._writer.wait()
+        self._reserve.release()
         self._write_counts()
-        if self._state.outcome == "solved":
+        if self._state.outcome == "solved" and written:
             delete_checkpoints(self._checkpoints / COORDINATOR)
         else:
             self._writer.write(self._checkpoints / COORDINATOR, self._about, saved_state(self._state))
+
+
+def result_size(state: CoordinatorState) -> int:
+    """About how many bytes the result of a run takes; 0 before there is a policy."""
+    weights = [acting_parameters(record.weights) for record in state.records.values() if record.version]
+    size = sum(int(array.nbytes) for named in weights for array in named.values())
+    return size + RESULT_OVERHEAD if weights else 0
 
 
 def go_on(state: CoordinatorState, checkpoints: Path, warn: Warn) -> str:
@@ -77,9 +99,21 @@ def go_on(state: CoordinatorState, checkpoints: Path, warn: Warn) -> str:
     found = newest_checkpoint(checkpoints / COORDINATOR, lambda told: told == about, warn)
     if found is not None:
         load_saved_state(state, found.state)
-    counts = read_counts(checkpoints)
-    if counts is not None and counts.get("run_id") == state.settings.run_id:
+    counts, source = read_counts(checkpoints, warn), COUNTS_FILE
+    if counts is None and found is None:
+        counts, source = _counts_of_summary(checkpoints.parent, state.settings.run_id), SUMMARY_FILE
+    spent = counts is not None and counts["run_id"] == state.settings.run_id
+    if counts is not None and spent:
         raise_counts(state, counts)
     keep_exported(state, checkpoints.parent / "policy", warn)
-    source = "no checkpoint: it had not kept one yet" if found is None else f"checkpoint {found.path.name}"
-    return f"resumed after {state.interactions} interactions from {source}"
+    if found is not None:
+        return f"resumed after {state.interactions} interactions from checkpoint {found.path.name}"
+    known = f"{source} has what was spent" if spent else "what was spent is not known"
+    return f"resumed after {state.interactions} interactions from no checkpoint: {known}; Q and evaluations begin anew"
+
+
+def _counts_of_summary(run: Path, run_id: str) -> State | None:
+    try:
+        return counts_of_summary(read_summary(run), run_id)
+    except RunError:  # none, or a damaged one
+        return None

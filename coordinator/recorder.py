@@ -129,6 +129,11 @@ class Recorder:
         self._run.write_summary(summary(state))
         self._result_due = False
 
+    @property
+    def solved(self) -> bool:
+        """Whether the run is over because its task is solved."""
+        return self._state.outcome == "solved"
+
     def close(self) -> None:
         """Write the counts down once more: learners went on until they heard of the end.
 

@@ -64,6 +64,9 @@ class LearnerRecord:
             value_loss=b.value_loss,
             peer_rows=b.peer_rows,
             processor_s=a.processor_s + b.processor_s,
+            errors=a.errors + b.errors,
+            timeouts=a.timeouts + b.timeouts,
+            terminated=a.terminated + b.terminated,
             intervention=add_interventions(a.intervention, b.intervention),
         )
 

@@ -21,6 +21,7 @@ def saved_state(state: CoordinatorState) -> State:
         "evaluations": state.evaluations.state(),
         "events": msgspec.to_builtins(list(state.events)),
         "snapshot": state.snapshot,
+        "solved": state.outcome == "solved",
         "counts": saved_counts(state),
     }
 
@@ -35,6 +36,8 @@ def load_saved_state(state: CoordinatorState, saved: State) -> None:
     state.events.extend(msgspec.convert(saved["events"], list[EventLine]))
     state.snapshot = saved["snapshot"]
     _raise_clock(state, saved["counts"])
+    if saved.get("solved", False):
+        state.outcome = "solved"
 
 
 def saved_counts(state: CoordinatorState) -> State:
@@ -43,6 +46,7 @@ def saved_counts(state: CoordinatorState) -> State:
         "elapsed_s": state.elapsed_s,
         "epochs": state.leases.epochs() | state.evaluator_lease.epochs(),
         "evaluated": len(state.evaluations.history),
+        "outcome": state.outcome,
         "totals": {pid: msgspec.to_builtins(record.total) for pid, record in state.records.items()},
     }
 
@@ -52,8 +56,9 @@ def raise_counts(state: CoordinatorState, counts: State) -> None:
 
     Evaluations after it are not known, so none before it counts towards those in a row.
     """
-    for pid, record in state.records.items():
-        record.raise_counts(msgspec.convert(counts["totals"][pid], LearnerStats))
+    for pid, total in counts["totals"].items():
+        if pid in state.records:
+            state.records[pid].raise_counts(msgspec.convert(total, LearnerStats))
     if counts["evaluated"] > len(state.evaluations.history):
         state.evaluations.begin_row()
     _raise_clock(state, counts)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 import threading
 import time
 from contextlib import ExitStack
@@ -10,6 +11,7 @@ from queue import SimpleQueue
 
 from coordinator.doors import Access, Doors
 from coordinator.events import Event, Finish, Interrupted, KeysChanged, Noticed, Received, Send, Tick
+from coordinator.finishing import patience, write_result
 from coordinator.keeping import StateKeeper, go_on
 from coordinator.recorder import Recorder
 from coordinator.snapshot import dashboard_state, status
@@ -76,6 +78,7 @@ class CoordinatorService:
         self._publish_due = 0.0
         self._interrupt: str | None = None
         self._over = threading.Event()
+        self._impatient = False
         if resumed:
             self._feed(Noticed(time.monotonic(), resumed))
 
@@ -88,9 +91,14 @@ class CoordinatorService:
     def interrupt(self, reason: str) -> None:
         """Ask the loop to end the run; callable from a signal handler or another thread."""
         self._interrupt = reason
+        if self._over.is_set():
+            self._impatient = True
 
     def serve(self) -> None:
         """Run until the state machine finishes, then tell latecomers for a moment that it is over."""
+        if self.state.outcome is not None:  # solved before the resume, and not written down
+            self._recorder.record(Finish(self.state.outcome, "before it was resumed"))
+            self._over.set()
         try:
             while not self._over.is_set():
                 self._turn()
@@ -104,9 +112,15 @@ class CoordinatorService:
         began = time.monotonic()
         while time.monotonic() < began + (LONGEST_FAREWELL_S if self._learners_left() else FAREWELL_S):
             self._turn()
-        self._recorder.close()
-        self._keeper.finish()
-        self._hear_keeper()
+        pause = patience(self._turn, lambda: self._impatient)
+        try:
+            write_result(self._recorder, self._keeper, self._say, pause)
+        finally:
+            self._hear_keeper()
+
+    def _say(self, text: str) -> None:
+        self._feed(Noticed(time.monotonic(), text))
+        print(f"t4nmtd-coordinator: {text}", file=sys.stderr, flush=True)
 
     def _hear_keeper(self) -> None:
         while not self._said.empty():

@@ -7,6 +7,7 @@ from typing import Any
 
 from coordinator.records import LearnerRecord, add_interventions
 from coordinator.state import CoordinatorState
+from coordinator.stuck import stuck_lines
 from t4nmtd_dist import __version__
 from t4nmtd_dist.wire.messages import (
     DashboardState,
@@ -104,6 +105,8 @@ def _learner_row(state: CoordinatorState, pid: str, record: LearnerRecord) -> Le
         starts_waiting=len(record.buffer),
         heartbeat_age_s=state.now - lease.heard if lease else None,
         intervention=total.intervention,
+        successes=total.successes,
+        hint="\n".join(stuck_lines(pid, state.records, state.task)) if state.outcome is None else "",
     )
 
 

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from coordinator.bulletin import Bulletin
 from coordinator.evaluations import EvaluationSchedule
 from coordinator.events import (
     Action,
@@ -27,6 +28,7 @@ from coordinator.events import (
 from coordinator.leases import Lease, LeaseTable
 from coordinator.progress import ReceivedProgress, read_progress, stack_starts
 from coordinator.records import LearnerRecord
+from coordinator.stuck import StuckWatch
 from t4nmtd_dist.compiled import CompiledTask
 from t4nmtd_dist.errors import ProtocolError
 from t4nmtd_dist.initial_state_buffer import InitialStateBuffer
@@ -43,6 +45,7 @@ from t4nmtd_dist.wire.messages import (
     Failure,
     Goodbye,
     Granted,
+    Notice,
     Peer,
     Refused,
     Release,
@@ -99,6 +102,7 @@ class CoordinatorState:
         self.now = self.began = 0.0
         self._clock_started = False
         self._lost: set[str] = set()
+        self._bulletin, self._stuck = Bulletin(), StuckWatch()
         self.snapshot: NDArray[Any] | None = None
         self.earlier_s = 0.0
         self._ended: float | None = None
@@ -129,6 +133,7 @@ class CoordinatorState:
         """Take one event; the actions are to be carried out in order."""
         if not self._clock_started:
             self.began, self._clock_started = event.now, True
+            self._ended = event.now if self.outcome is not None else None  # it was loaded
         self.now = event.now
         if isinstance(event, Received):
             return self._receive(event)
@@ -156,6 +161,8 @@ class CoordinatorState:
                 return self._evaluation_poll(peer, message, envelope.id)
             if isinstance(message, EvaluationReport):
                 return self._evaluation_report(peer, message)
+            if isinstance(message, Notice):
+                return [self._tell(line) for line in self._bulletin.lines(message.text)]
         except ProtocolError as error:
             return [Send(peer, Failure(text=str(error)), answers=envelope.id)]
         text = f"the coordinator does not take {type(message).__name__} messages"
@@ -253,8 +260,10 @@ class CoordinatorState:
         if not self.leases.renew(sync.pid, sync.epoch, peer, self.now):
             return self._refuse_stale(peer, sync, answers)
         self._accept(sync, event.envelope.arrays)
-        back = [self._tell(f"{sync.pid} heard again")] if sync.pid in self._lost else []
+        back: list[Action] = [self._tell(f"{sync.pid} heard again")] if sync.pid in self._lost else []
         self._lost.discard(sync.pid)
+        news = self._stuck.news(sync.pid, self.records, self.task, self.elapsed_s)
+        back += [self._tell(line) for line in news]
         reply = self._reply(peer, sync, self.records[sync.pid], answers)
         if self.interactions >= self.settings.max_interactions:
             return [*back, reply, *self._finish("budget spent", f"{self.interactions} interactions")]

@@ -56,6 +56,25 @@ class CompiledTask:
         )
 
 
+def decomposed(task: TaskConfig, dfa: DFA, *, seed: int = 0, deadline: Deadline | None = None) -> Decomposition:
+    """The sub-tasks of a task's automaton, under the task's settings.
+
+    Raises:
+        ConfigError: see ``decompose``.
+    """
+    settings = task.decomposition
+    return decompose(
+        dfa,
+        exclusive=task.exclusive,
+        mode=settings.mode,
+        prune=settings.prune,
+        keep=settings.keep,
+        order=names_in_order(task.formula),
+        seed=seed,
+        deadline=deadline,
+    )
+
+
 def compile_task(config: TaskConfig, *, translator: Translator = "auto", seed: int = 0) -> CompiledTask:
     """Translate the formula, decide how it accepts, and decompose its automaton.
 
@@ -63,23 +82,13 @@ def compile_task(config: TaskConfig, *, translator: Translator = "auto", seed: i
         FormulaError, TranslationError: if the formula or the translator fails.
         ConfigError: if nothing is left to learn, or compiling takes longer than ``decomposition.time_limit``.
     """
-    settings = config.decomposition
-    deadline = Deadline.after(settings.time_limit)
+    deadline = Deadline.after(config.decomposition.time_limit)
     formula = translate(config.formula, propositions=config.propositions, translator=translator, deadline=deadline)
     dfa, acceptance = task_automaton(formula, config.acceptance, config.exclusive)
     config = dataclasses.replace(config, acceptance=acceptance)
-    decomposition = decompose(
-        dfa,
-        exclusive=config.exclusive,
-        mode=settings.mode,
-        prune=settings.prune,
-        keep=settings.keep,
-        order=names_in_order(config.formula),
-        seed=seed,
-        deadline=deadline,
-    )
+    decomposition = decomposed(config, dfa, seed=seed, deadline=deadline)
     if not decomposition.available(dfa.initial):
         raise ConfigError(f"task {config.name!r}: no sub-task is available in the initial state; run `t4nmtd inspect`")
-    dist = distances(dfa, exclusive=config.exclusive, mode=settings.dist, deadline=deadline)
+    dist = distances(dfa, exclusive=config.exclusive, mode=config.decomposition.dist, deadline=deadline)
     dfa.find_edges(deadline)
     return CompiledTask(config, dfa, decomposition, dist, potentials(dfa, dist))

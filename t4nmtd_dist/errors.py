@@ -33,6 +33,10 @@ class LeaseError(T4NMTDError):
     """A claim on a sub-task that the coordinator refused."""
 
 
+class ImportNameError(T4NMTDError):
+    """A module of somebody else's that Python finds under the name of one of our packages."""
+
+
 class RunError(T4NMTDError):
     """A run directory that is missing, already in use, or damaged."""
 

@@ -35,6 +35,7 @@ from t4nmtd_dist.wire.messages import (
     LearnerRow,
     LearnerStats,
     Message,
+    Notice,
     Peer,
     QCell,
     Refused,
@@ -77,6 +78,7 @@ LEARNER = LearnerRow(
     intervention=Intervention(),
 )
 EXAMPLES: list[Message] = [
+    Notice(text="worker p1 ended with code 1\nKeyError"),
     Claim(role="learner", instance="host:1", pid="~p1", critic_endpoint="tcp://127.0.0.1:1"),
     Granted(
         role="learner",

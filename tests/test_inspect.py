@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import io
 import json
 import xml.etree.ElementTree as ET
@@ -13,7 +14,7 @@ from rich.console import Console
 
 from t4nmtd_dist.automata.drawing import draw_svg
 from t4nmtd_dist.automata.translate import translate
-from t4nmtd_dist.cli.inspect import run_inspect
+from t4nmtd_dist.cli.inspect import formula_task, run_inspect
 from t4nmtd_dist.decomposition import decompose
 from t4nmtd_dist.errors import ConfigError
 
@@ -21,14 +22,11 @@ SVG = "{http://www.w3.org/2000/svg}"
 BOTH = "F(a & X(F b)) & G(!(a & c))"
 
 
-def inspect(formula: str, width: int = 80, **changes: Any) -> str:
-    settings: dict[str, Any] = {
-        "name": "mine", "title": "first a, then b", "formula": formula, "exclusive": (), "propositions": None,
-        "translator": "python", "acceptance": "first", "mode": "objective", "prune": True, "dist_mode": "shortest",
-        "as_json": False, "svg": None,
-    }  # fmt: skip
+def inspect(formula: str, width: int = 80, *, svg: Path | None = None, as_json: bool = False, **changes: Any) -> str:
+    task = formula_task(formula, ['acceptance="first"'])
+    task = dataclasses.replace(task, **({"name": "mine", "title": "first a, then b"} | changes))
     console = Console(file=io.StringIO(), width=width, color_system=None)
-    run_inspect(**(settings | changes), console=console)
+    run_inspect(task, console=console, translator="python", as_json=as_json, svg=svg)
     assert isinstance(console.file, io.StringIO)
     return console.file.getvalue()
 

@@ -37,7 +37,7 @@ def inspected(capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatc
 def test_the_summary_of_a_large_automaton_fits_on_a_screen(
     goals: str, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    exclusive = [f"exclusive={json.dumps([list(goals)])}"]
+    exclusive = [f"exclusive={json.dumps([list(goals)])}", "acceptance=first"]
     formula = f"({unordered(goals)}) & G(!wall)"
     page = inspected(capsys, monkeypatch, formula=formula, summary=True, set=exclusive)
     lines = page.splitlines()

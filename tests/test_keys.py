@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import stat
 import threading
 from collections.abc import Callable, Iterator
@@ -75,6 +76,26 @@ def test_secret_files_can_be_read_by_their_owner_only(folder: Path) -> None:
     assert len(modes) == 3
     assert set(modes.values()) == {0o600}
     assert stat.S_IMODE(folder.stat().st_mode) == stat.S_IMODE(client_of(folder).stat().st_mode) == 0o700
+
+
+@pytest.mark.parametrize("umask", [0, 0o022, 0o077, 0o777])
+def test_folders_and_files_of_keys_have_their_modes_whatever_the_umask(umask: int, tmp_path: Path) -> None:
+    before = os.umask(umask)
+    try:
+        make_coordinator_folder(tmp_path / "keys", clients=1)
+        add_client(tmp_path / "keys", "late")
+        make_client_folder(tmp_path / "mine", "me", load_coordinator(tmp_path / "keys").public)
+    finally:
+        os.umask(before)
+    made = [path for folder in ("keys", "mine") for path in ((tmp_path / folder), *(tmp_path / folder).rglob("*"))]
+    wrong = {
+        path.relative_to(tmp_path).as_posix(): oct(stat.S_IMODE(path.stat().st_mode))
+        for path in made
+        if stat.S_IMODE(path.stat().st_mode)
+        != (0o700 if path.is_dir() else 0o600 if path.suffix == ".secret" else 0o644)
+    }
+    assert wrong == {}
+    assert {"clients", "allowed"} <= {path.name for path in made}
 
 
 def test_a_secret_file_that_others_can_read_is_not_used(folder: Path) -> None:

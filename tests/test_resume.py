@@ -25,7 +25,8 @@ from t4nmtd_dist.launch.serial import SerialRun
 from t4nmtd_dist.learners.build import build_learner
 from t4nmtd_dist.learners.peers import NoPeers
 from t4nmtd_dist.runs.checkpoints import newest_checkpoint, write_checkpoint
-from t4nmtd_dist.runs.resuming import new_identity, read_counts, write_counts, write_identity
+from t4nmtd_dist.runs.counts import read_counts, write_counts
+from t4nmtd_dist.runs.resuming import new_identity, write_identity
 from t4nmtd_dist.runs.state_tree import copied, joined, split
 from t4nmtd_dist.wire.codec import Envelope
 from t4nmtd_dist.wire.messages import (

@@ -30,6 +30,7 @@ from t4nmtd_dist.wire.messages import Granted, Intervention, LearnerStats, Peer,
 RESEND_S = 2.0
 STARTS_PER_SYNC = 64
 INTERVENTION = Intervention.__struct_fields__
+ENDINGS = ("errors", "timeouts", "terminated")
 
 
 def compiled_from(granted: Granted) -> CompiledTask:
@@ -231,6 +232,7 @@ class LearnerSession:
             peer_rows=self.learner.peer_rows,
             processor_s=self.processor_s,
             intervention=Intervention(**asdict(self._counts)),
+            **vars(attempts.endings),
         )
 
     def take_reply(self, envelope: Envelope) -> None:
@@ -256,7 +258,7 @@ def _training_of(granted: Granted) -> tuple[object, ...]:
 
 def counted_since(now: LearnerStats, before: LearnerStats) -> LearnerStats:
     """``now`` with the counts of ``before`` taken off."""
-    counts = ("interactions", "gradient_steps", "attempts", "successes", "processor_s")
+    counts = ("interactions", "gradient_steps", "attempts", "successes", "processor_s", *ENDINGS)
     asked = {name: getattr(now.intervention, name) - getattr(before.intervention, name) for name in INTERVENTION}
     less = {name: getattr(now, name) - getattr(before, name) for name in counts}
     return msgspec.structs.replace(now, **less, intervention=Intervention(**asked))

@@ -114,24 +114,14 @@ class Inspect:
             config = load_task(self.task, flags=self.set)
         else:
             config = formula_task(self.formula or "", self.set)
-        settings = config.decomposition
+        summary = True if self.summary else False if self.full else None
         run_inspect(
-            name=config.name,
-            title=config.title,
-            formula=config.formula,
-            exclusive=config.exclusive,
-            propositions=config.propositions,
+            config,
+            console=Console(),
             translator=self.translator,
-            acceptance=config.acceptance,
-            mode=settings.mode,
-            prune=settings.prune,
-            keep=settings.keep,
-            dist_mode=settings.dist,
-            time_limit=settings.time_limit,
-            summary=True if self.summary else False if self.full else None,
             as_json=self.as_json,
             svg=self.svg,
-            console=Console(),
+            summary=summary,
         )
         return 0
 

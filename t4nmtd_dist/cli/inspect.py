@@ -18,19 +18,18 @@ from t4nmtd_dist.automata.cubes import cube_text
 from t4nmtd_dist.automata.deadline import Deadline
 from t4nmtd_dist.automata.dfa import DFA
 from t4nmtd_dist.automata.drawing import draw_svg
-from t4nmtd_dist.automata.formula import names_in_order, parse
+from t4nmtd_dist.automata.formula import parse
 from t4nmtd_dist.automata.reduction import ExclusiveGroups, reduce_automaton
 from t4nmtd_dist.automata.translate import Translator, translate
 from t4nmtd_dist.cli.inspect_summary import left_out_lines, summary_lines
+from t4nmtd_dist.compiled import decomposed
 from t4nmtd_dist.config import (
-    AcceptanceSetting,
-    DecompositionConfig,
     TaskConfig,
     merge,
     settings_from_flags,
     task_config,
 )
-from t4nmtd_dist.decomposition import Decomposition, Keep, Mode, decompose
+from t4nmtd_dist.decomposition import Decomposition
 from t4nmtd_dist.errors import ConfigError
 from t4nmtd_dist.potential import DistanceMode, distances, potentials
 
@@ -63,65 +62,38 @@ def formula_task(formula: str, flags: Sequence[str]) -> TaskConfig:
 
 
 def run_inspect(
+    task: TaskConfig,
     *,
-    name: str,
-    title: str,
-    formula: str,
-    exclusive: ExclusiveGroups,
-    propositions: Sequence[str] | None,
-    translator: Translator,
-    acceptance: AcceptanceSetting = "auto",
-    mode: Mode,
-    prune: bool,
-    dist_mode: DistanceMode,
-    as_json: bool,
-    svg: Path | None,
     console: Console,
-    keep: Keep = DecompositionConfig.keep,
-    time_limit: float = DecompositionConfig.time_limit,
+    translator: Translator = "auto",
+    as_json: bool = False,
+    svg: Path | None = None,
     summary: bool | None = None,
 ) -> None:
-    """Translate a formula and show what becomes of it.
+    """Translate a task's formula and show what becomes of it.
 
     Args:
-        name: the task's short name, for headings.
-        title: one line that says what the task is.
-        formula: the task in LTLf.
-        exclusive: groups of propositions that can never hold together.
-        propositions: AP; by default the propositions of the formula.
+        task: any task, or the ``formula_task`` of a formula.
+        console: where to print.
         translator: ``auto``, ``mona`` or ``python``.
-        acceptance: when a trace is accepted.
-        mode: the decomposition.
-        prune: leave out transitions that no simple path to acceptance takes.
-        dist_mode: ``shortest`` or ``mean``.
         as_json: print the inspection as one JSON object in place of the page.
         svg: write a picture of the automaton to this file.
-        console: where to print.
-        keep: which sub-tasks remain.
-        time_limit: seconds that all of it may take, the picture excepted.
         summary: print the summary in place of the page; None for automata of more than 60 states.
 
     Raises:
         T4NMTDError: if the formula, the settings or the file cannot be used, or the time is up.
     """
-    deadline = Deadline.after(time_limit)
-    automaton = translate(formula, propositions=propositions, translator=translator, deadline=deadline)
-    dfa, accepts = task_automaton(automaton, acceptance, exclusive)
-    decomposition = decompose(
-        dfa,
-        exclusive=exclusive,
-        mode=mode,
-        prune=prune,
-        keep=keep,
-        order=names_in_order(formula),
-        deadline=deadline,
-    )
+    settings = task.decomposition
+    deadline = Deadline.after(settings.time_limit)
+    formula = translate(task.formula, propositions=task.propositions, translator=translator, deadline=deadline)
+    dfa, acceptance = task_automaton(formula, task.acceptance, task.exclusive)
+    decomposition = decomposed(task, dfa, deadline=deadline)
     found = inspection(
         dfa,
-        exclusive=exclusive,
-        dist_mode=dist_mode,
+        exclusive=task.exclusive,
+        dist_mode=settings.dist,
         decomposition=decomposition,
-        acceptance=accepts,
+        acceptance=acceptance,
         deadline=deadline,
     )
     if svg is not None:
@@ -130,7 +102,7 @@ def run_inspect(
     if as_json:
         console.out(json.dumps(found, indent=1), highlight=False)
         return
-    _print_page(console, f"{name}: {title}" if title else name, formula, found, summary)
+    _print_page(console, f"{task.name}: {task.title}" if task.title else task.name, task.formula, found, summary)
     if svg is not None:
         console.print(Text(f"Picture written to {svg}"))
 

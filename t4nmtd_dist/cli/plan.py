@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import sys
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -79,6 +80,8 @@ def _flags(options: RunOptions) -> list[str]:
 
 def _resumed(options: RunOptions, run: Path, serial: bool) -> RunPlan:
     stopped = read_stopped_run(run)
+    for text in stopped.warnings:
+        print(f"warning: {text}", file=sys.stderr)
     _check_same_run(options, stopped, serial)
     config = _check_same_settings(options, stopped)
     if stopped.outcome == "budget spent" and config.max_interactions <= stopped.interactions:

@@ -48,11 +48,12 @@ def show_status(endpoint: str, keys: Path | None, wait_s: float, *, check: bool,
     if as_json:
         print(json.dumps({key: value for key, value in msgspec.to_builtins(status).items() if key != "type"}))
     elif not check:
-        print(_page(status))
+        print(page(status))
     return HEALTHY
 
 
-def _page(status: Status) -> str:
+def page(status: Status) -> str:
+    """A status as lines for people."""
     success = "none yet" if status.success_rate is None else f"{status.success_rate:.0%}"
     lines = [
         f"{status.task} seed {status.seed}: {status.phase} for {status.elapsed_s:.0f} s, "
@@ -76,4 +77,5 @@ def _result(status: Status) -> Iterator[str]:
 
 def _learner(row: LearnerRow) -> str:
     age = "" if row.heartbeat_age_s is None else f", heard {row.heartbeat_age_s:.1f} s ago"
-    return f"{row.pid}: {row.phase}, {row.worker or 'no worker'}, {row.interactions} interactions{age}"
+    hint = "".join(f"\n  {line}" for line in row.hint.splitlines())
+    return f"{row.pid}: {row.phase}, {row.worker or 'no worker'}, {row.interactions} interactions{age}{hint}"

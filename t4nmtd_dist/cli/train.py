@@ -7,6 +7,7 @@ import sys
 import time
 from pathlib import Path
 
+from t4nmtd_dist.cli.death_notices import DeathNotices
 from t4nmtd_dist.cli.options import RunOptions
 from t4nmtd_dist.cli.plan import RunPlan, plan_run
 from t4nmtd_dist.compiled import CompiledTask, compile_task
@@ -23,6 +24,7 @@ from t4nmtd_dist.wire.keys import ClientKeys, load_client
 
 SOLVED, BUDGET_SPENT, STOPPED = 0, 3, 130
 LAST_STATE_S = 15.0
+RESULT_S = 90.0  # in which a coordinator that finds no room for its result gives up
 
 
 class _Interrupted:
@@ -69,10 +71,12 @@ def train(
     run = RunDirectory(plan.directory, restart=options.restart, resume=plan.resumes)
     directory = run.path
     interrupted = _Interrupted()
-    processes = LocalProcesses(directory)
+    deaths = DeathNotices(own, held=dashboard and _is_live())
+    processes = LocalProcesses(directory, deaths)
     secured = [] if keys is None else ["--keys", str(keys.absolute())]
     try:
         control, publish = processes.start_coordinator([*_coordinator_arguments(options), *secured])
+        deaths.control = control
         kept = ["--checkpoints", str(run.checkpoints), "--checkpoint-every", str(options.checkpoint_every)]
         for name, hand in hands.items():
             places = [flag for pid in hand for flag in ("--pid", pid)]
@@ -82,8 +86,9 @@ def train(
         _watch(processes, publish, interrupted, dashboard, own)
         if interrupted.seen:
             processes.interrupt()
-        code = processes.coordinator_exit_code(LAST_STATE_S)
+        code = _last_word(processes, interrupted)
     finally:
+        deaths.print()
         processes.end()
     if interrupted.seen:
         code = STOPPED
@@ -137,6 +142,26 @@ def _watch(
             time.sleep(0.1)
 
 
+def _last_word(processes: LocalProcesses, interrupted: _Interrupted) -> int | None:
+    """The coordinator's exit code; None if it does not end in time."""
+    code = processes.coordinator_exit_code(LAST_STATE_S)
+    if code is None and not interrupted.seen:
+        _say(f"the coordinator is still writing the result; its log is in {processes.run_dir / 'logs'}")
+    deadline = time.monotonic() + RESULT_S
+    while code is None and not interrupted.seen and time.monotonic() < deadline:
+        code = processes.coordinator_exit_code(1.0)
+    return code
+
+
+def _is_live() -> bool:
+    """Whether a dashboard takes the whole terminal."""
+    from rich.console import Console
+
+    from coordinator.viewer import wants_plain
+
+    return not wants_plain(Console())
+
+
 def _report(directory: Path) -> None:
     summary = read_summary(directory)
     print(
@@ -153,6 +178,8 @@ def train_serial(options: RunOptions, *, device: Device = "cpu") -> int:
     """Train in one process, in lock-step; the exit code, and what is raised, as of ``train``."""
     os.environ.setdefault("OMP_NUM_THREADS", "1")
     check_device(device)
+    from coordinator.events import Finish
+    from coordinator.finishing import patience, write_result
     from coordinator.recorder import Recorder
     from coordinator.state import RunSettings
     from t4nmtd_dist.launch.serial import SerialRun
@@ -183,8 +210,9 @@ def train_serial(options: RunOptions, *, device: Device = "cpu") -> int:
             run.stop("interrupted")
     for note in run.notes:
         recorder.record(note)
-    recorder.close()
-    keeper.finish()
+    if plan.resumes and run.coordinator.outcome == "solved":
+        recorder.record(Finish("solved", "the result is written now"))
+    write_result(recorder, keeper, _say, patience(lambda: time.sleep(0.1), lambda: interrupted.seen))
     _report(run_dir.path)
     codes = {"solved": SOLVED, "budget spent": BUDGET_SPENT}
     return codes.get(run.coordinator.outcome or "", STOPPED)

@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 import copy
-import importlib
-import sys
+import dataclasses
 from collections.abc import Callable
 from pathlib import Path
 from types import ModuleType
@@ -13,6 +12,7 @@ from typing import Any
 import gymnasium as gym
 
 from t4nmtd_dist.config import EnvironmentConfig
+from t4nmtd_dist.environments.task_modules import OUR_WORLDS, explained, import_task_module
 from t4nmtd_dist.errors import WorldError
 
 Env = gym.Env[Any, Any]
@@ -49,7 +49,9 @@ def find_spec(config: EnvironmentConfig) -> Spec | None:
         WorldError: if there is neither.
     """
     module_name, _, name = config.id.rpartition(":")
-    module = import_module(module_name, config) if module_name else None
+    ours = config.id.startswith(OUR_WORLDS)
+    place = dataclasses.replace(config, path="") if ours else config
+    module = import_module(module_name, place) if module_name else None
     if module is not None and name not in gym.registry and _attribute(module, name) is not None:
         return None
     try:
@@ -86,16 +88,16 @@ def import_module(name: str, config: EnvironmentConfig) -> ModuleType:
     Raises:
         WorldError: if it cannot be imported; the text says where it was searched for.
     """
-    if config.path and config.path not in sys.path:
-        sys.path.insert(0, config.path)
     try:
-        return importlib.import_module(name)
+        return import_task_module(name, config.path)
     except ModuleNotFoundError as error:
         if error.name is None or not f"{name}.".startswith(f"{error.name}."):
-            raise WorldError(f"importing {name!r} for environment {config.id!r}: {error}") from None
+            more = explained(error, config.path)
+            raise WorldError(f"importing {name!r} for environment {config.id!r}: {error}{more}") from None
         raise WorldError(f"environment {config.id!r}: no module {name!r}{_searched(config)}") from None
     except Exception as error:  # whatever a user's module may raise
-        raise WorldError(f"importing {name!r} for environment {config.id!r}: {_described(error)}") from error
+        more = explained(error, config.path) if isinstance(error, ImportError) else ""
+        raise WorldError(f"importing {name!r} for environment {config.id!r}: {_described(error)}{more}") from error
 
 
 def _searched(config: EnvironmentConfig) -> str:

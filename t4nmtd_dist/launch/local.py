@@ -4,22 +4,25 @@ from __future__ import annotations
 
 import json
 import os
+import signal
 import subprocess
 import sys
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
 from t4nmtd_dist.errors import ConfigError, RunError
 from t4nmtd_dist.runs.directory import ENDPOINTS_FILE
 from t4nmtd_dist.runs.file_names import file_name
+from t4nmtd_dist.runs.links import open_to_append
 
 START_DEADLINE_S = 60.0
 END_DEADLINE_S = 20.0  # time in which workers write their last checkpoints; most need a second
 RESTART_PAUSE_S = 0.5
 MOST_RESTARTS = 20
 LONGEST_NAME = 100
+KILLED_BY = (signal.SIGKILL, signal.SIGTERM, signal.SIGINT, signal.SIGHUP)  # somebody's wish, not a crash
 
 
 def dealt(pids: Sequence[str], workers: int | None) -> dict[str, list[str]]:
@@ -47,7 +50,7 @@ def _name_of(hand: Sequence[str], number: int) -> str:
 
 @dataclass
 class _Child:
-    """A process of ours, and how often it was started again."""
+    """A process of ours, how often it was started again, and how long its log was before that."""
 
     name: str
     command: list[str]
@@ -55,6 +58,7 @@ class _Child:
     process: subprocess.Popen[bytes]
     restarts: int = 0
     restart_at: float | None = None
+    log_size: int = 0
 
 
 @dataclass
@@ -66,9 +70,11 @@ class LocalProcesses:
 
     Args:
         run_dir: the run directory; every process logs into its ``logs`` folder.
+        report: called at once with what is known of a worker that has died, and whether that deserves attention.
     """
 
     run_dir: Path
+    report: Callable[[str, bool], None] = lambda *_: None
     _children: dict[str, _Child] = field(default_factory=dict)
     _coordinator: subprocess.Popen[bytes] | None = None
 
@@ -84,7 +90,7 @@ class LocalProcesses:
         """
         endpoints = self.run_dir / ENDPOINTS_FILE
         endpoints.unlink(missing_ok=True)
-        command = [*_role("coordinator"), *arguments, "--bind", "tcp://127.0.0.1:*", "--publish", "tcp://127.0.0.1:*"]
+        command = [*role("coordinator"), *arguments, "--bind", "tcp://127.0.0.1:*", "--publish", "tcp://127.0.0.1:*"]
         command += ["--run-dir", str(self.run_dir), "--no-dashboard", "--lifeline", str(os.getpid())]
         process = self._coordinator = _spawn(command, self._coordinator_log)
         deadline = time.monotonic() + START_DEADLINE_S
@@ -99,7 +105,7 @@ class LocalProcesses:
 
     def start_worker(self, name: str, arguments: Sequence[str]) -> None:
         """Start a worker whose log and instance are called ``name``."""
-        command = [*_role("workers"), *arguments, "--instance", name, "--lifeline", str(os.getpid())]
+        command = [*role("worker"), *arguments, "--instance", name, "--lifeline", str(os.getpid())]
         log = self.run_dir / "logs" / f"{name}.log"
         self._children[name] = _Child(name, command, log, _spawn(command, log))
 
@@ -123,6 +129,7 @@ class LocalProcesses:
     def _revive(self, child: _Child) -> None:
         now = time.monotonic()
         if child.restart_at is None:
+            self.report(_obituary(child), _deserves_attention(child))
             child.restart_at = now + RESTART_PAUSE_S * 2 ** min(child.restarts, 5)
         if now < child.restart_at:
             return
@@ -130,6 +137,7 @@ class LocalProcesses:
             raise RunError(f"worker {child.name} ended with code {child.process.returncode}: {_tail(child.log)}")
         child.restarts += 1
         child.restart_at = None
+        child.log_size = child.log.stat().st_size
         child.process = _spawn(child.command, child.log)
 
     def coordinator_exit_code(self, timeout_s: float) -> int | None:
@@ -167,13 +175,14 @@ class LocalProcesses:
                 process.wait()
 
 
-def _role(package: str) -> list[str]:
-    return [sys.executable, "-m", package]
+def role(program: str) -> list[str]:
+    """How a ``coordinator`` or ``worker`` is started: without the current folder on Python's path."""
+    return [sys.executable, "-P", "-m", "t4nmtd_dist.cli.programs", program]
 
 
 def _spawn(command: list[str], log: Path) -> subprocess.Popen[bytes]:
     environment = {**os.environ, "OMP_NUM_THREADS": "1", "MKL_NUM_THREADS": "1"}
-    with log.open("ab") as file:
+    with open_to_append(log) as file:
         return subprocess.Popen(command, stdout=file, stderr=file, env=environment, start_new_session=True)
 
 
@@ -185,6 +194,19 @@ def _last_words(log: Path, code: int | None) -> str:
     return f"the coordinator ended with code {code} before the run was over; see {log}\n{said}".rstrip()
 
 
-def _tail(log: Path) -> str:
-    lines = log.read_text(encoding="utf-8", errors="replace").strip().splitlines()
+def _deserves_attention(child: _Child) -> bool:
+    """Whether a worker failed by itself, or was killed from outside and not for the first time."""
+    return child.restarts > 0 or -child.process.returncode not in KILLED_BY
+
+
+def _obituary(child: _Child) -> str:
+    """How a worker ended, and its last words."""
+    code = child.process.returncode
+    how = f"was killed by {signal.Signals(-code).name}" if code < 0 else f"ended with code {code}"
+    return f"worker {child.name} {how}; its last lines, from {child.log}:\n{_tail(child.log, child.log_size)}".rstrip()
+
+
+def _tail(log: Path, begin: int = 0) -> str:
+    """The last lines of a log, of those after its first ``begin`` bytes."""
+    lines = log.read_bytes()[begin:].decode("utf-8", errors="replace").strip().splitlines()
     return "\n".join(lines[-10:])

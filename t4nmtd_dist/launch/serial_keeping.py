@@ -7,7 +7,7 @@ import time
 
 from t4nmtd_dist.launch.serial import SerialRun
 from t4nmtd_dist.runs.background import BackgroundWriter
-from t4nmtd_dist.runs.checkpoints import delete_checkpoints, newest_checkpoint
+from t4nmtd_dist.runs.checkpoints import delete_checkpoints, keep_newest_only, newest_checkpoint
 from t4nmtd_dist.runs.directory import RunDirectory
 from t4nmtd_dist.runs.resuming import SERIAL
 from t4nmtd_dist.runs.state_tree import State
@@ -58,9 +58,13 @@ class SerialKeeper:
             self._writer.write(self._folder, self._about, self._run.state())
             self._due = time.monotonic() + self._every_s
 
-    def finish(self) -> None:
-        """Write a last checkpoint; a solved run needs none any more."""
-        if self._run.coordinator.outcome == "solved":
+    def make_room(self) -> None:
+        """Delete all but the newest checkpoint."""
+        keep_newest_only(self._directory.checkpoints)
+
+    def finish(self, *, written: bool = True) -> None:
+        """Write a last checkpoint; a solved run whose result is ``written`` needs none any more."""
+        if self._run.coordinator.outcome == "solved" and written:
             delete_checkpoints(self._folder)
         else:
             self._writer.write(self._folder, self._about, self._run.state())

@@ -62,6 +62,15 @@ class Progress:
     starts: list[tuple[int, NDArray[Any]]] = field(default_factory=list)
 
 
+@dataclass
+class Endings:
+    """How attempts without success have ended: in an error state, with the environment, or by lack of time."""
+
+    errors: int = 0
+    terminated: int = 0
+    timeouts: int = 0
+
+
 class Attempts:
     """N copies of the world, each always within an attempt at the sub-task.
 
@@ -108,6 +117,7 @@ class Attempts:
         self.interactions = 0
         self.attempts = 0
         self.successes = 0
+        self.endings = Endings()
         self._recent: deque[tuple[bool, int]] = deque(maxlen=RECENT_ATTEMPTS)
 
     @property
@@ -129,7 +139,7 @@ class Attempts:
             "world": self._world.state() if self._begun else None,
             "rng": self._rng.bit_generator.state,
             "seeds": self._seeds.bit_generator.state,
-            "counts": [self.interactions, self.attempts, self.successes],
+            "counts": [self.interactions, self.attempts, self.successes, *vars(self.endings).values()],
             "recent": list(self._recent),
             "changes": list(progress.changes),
             "starts": {"q": [q for q, _ in progress.starts], "states": stacked([s for _, s in progress.starts])},
@@ -143,7 +153,8 @@ class Attempts:
         if self._begun:
             self._world.load_state(state["world"])
         self._rng.bit_generator.state, self._seeds.bit_generator.state = state["rng"], state["seeds"]
-        self.interactions, self.attempts, self.successes = state["counts"]
+        self.interactions, self.attempts, self.successes, *endings = state["counts"]
+        self.endings = Endings(*endings)  # those of an earlier version are not known
         self._recent.clear()
         self._recent.extend((success, steps) for success, steps in state["recent"])
         starts = list(zip(state["starts"]["q"], state["starts"]["states"], strict=True))
@@ -245,7 +256,18 @@ class Attempts:
             self._recent.append((bool(step.reached[row]), int(self._steps[row])))
         self.attempts += int(step.ended.sum())
         self.successes += int(step.reached.sum())
+        self._count_endings(step)
         handed = np.flatnonzero((step.changed if self._hand_over_all else step.reached) & ~step.terminal)
         if len(handed):
             states = self._world.snapshot(handed)
             self.progress.starts += [(int(step.q_next[r]), s) for r, s in zip(handed, states, strict=True)]
+
+    def _count_endings(self, step: AttemptStep) -> None:
+        failed = step.ended & ~step.reached
+        if failed.any():
+            errors = failed & self._tables.error[step.q_next]
+            terminated = failed & step.terminated & ~errors
+            stranded = step.changed & ~self._tables.available[step.q_next]
+            self.endings.errors += int(errors.sum())
+            self.endings.terminated += int(terminated.sum())
+            self.endings.timeouts += int((failed & ~step.terminal & ~stranded).sum())

@@ -65,6 +65,8 @@ def write_checkpoint(folder: Path, about: Mapping[str, Any], state: Mapping[str,
         RunError: if it cannot be written; those before are left as they are.
     """
     try:
+        if folder.is_symlink():
+            raise OSError("it is a symbolic link, and no checkpoint is written through one")
         folder.mkdir(parents=True, exist_ok=True)
         for left in folder.glob(f"{_UNFINISHED}*"):
             shutil.rmtree(left, ignore_errors=True)
@@ -150,6 +152,9 @@ def newest_checkpoint(folder: Path, fits: Callable[[State], bool], warn: Warn) -
         fits: whether a checkpoint about this is meant; others are passed over in silence.
         warn: told of every damaged one that is passed over.
     """
+    if folder.is_symlink():
+        warn(f"{folder} is a symbolic link: the checkpoints behind it are not read")
+        return None
     for number in _numbers(folder):
         path = folder / _name(number)
         try:
@@ -163,6 +168,9 @@ def newest_checkpoint(folder: Path, fits: Callable[[State], bool], warn: Warn) -
 
 
 def _read(path: Path, fits: Callable[[State], bool]) -> Checkpoint | None:
+    for part in (path, path / MANIFEST_FILE, path / STATE_FILE, path / ARRAYS_FILE):
+        if part.is_symlink():
+            raise _DamagedError(f"{part.name} is a symbolic link, which is not followed")
     files = _manifest(path)
     told = json.loads(_checked(path, STATE_FILE, files))
     if not fits(told["about"]):
@@ -195,6 +203,15 @@ def _checked(path: Path, name: str, files: Mapping[str, tuple[int, str]]) -> byt
     if sha256(data).hexdigest() != expected:
         raise _DamagedError(f"{name} has another SHA-256 than it had")
     return data
+
+
+def keep_newest_only(checkpoints: Path) -> None:
+    """Make room in a folder of folders of checkpoints: of each, all but the newest whole one are deleted."""
+    for folder in checkpoints.iterdir() if checkpoints.is_dir() else []:
+        newest = newest_checkpoint(folder, lambda about: True, lambda _: None)
+        for number in _numbers(folder) if newest is not None and not folder.is_symlink() else []:
+            if newest is not None and folder / _name(number) != newest.path:
+                shutil.rmtree(folder / _name(number), ignore_errors=True)
 
 
 def delete_checkpoints(folder: Path) -> None:

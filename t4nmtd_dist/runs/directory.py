@@ -20,6 +20,8 @@ import tomli_w
 from t4nmtd_dist.config import TaskConfig
 from t4nmtd_dist.errors import RunError
 from t4nmtd_dist.runs.file_names import file_name
+from t4nmtd_dist.runs.links import open_fresh, open_to_append, refuse_links
+from t4nmtd_dist.runs.reserve import RESERVE_FILE
 from t4nmtd_dist.runs.versions import versions
 
 CONFIG_FILE = "config.toml"
@@ -30,7 +32,7 @@ LOCK_FILE = ".lock"
 VERSIONS_FILE = "versions.json"
 EVENTS_FILE = "events.jsonl"
 ROUNDING_S = 0.001  # of times in the metrics
-FILES = {CONFIG_FILE, SUMMARY_FILE, ENDPOINTS_FILE, LOCK_FILE, VERSIONS_FILE, EVENTS_FILE}
+FILES = {CONFIG_FILE, SUMMARY_FILE, ENDPOINTS_FILE, LOCK_FILE, VERSIONS_FILE, EVENTS_FILE, RESERVE_FILE}
 FOLDERS = {"metrics", "logs", "tensorboard", "policy", "policy.old", CHECKPOINTS_FOLDER}
 
 
@@ -43,7 +45,7 @@ def default_run_directory(task: str, seed: int) -> Path:
 def write_atomically(path: Path, text: str) -> None:
     """Replace a file so that a reader sees the old text or the new one, never half of it."""
     fresh = path.with_name(f".{path.name}.new")
-    with fresh.open("w", encoding="utf-8") as file:
+    with open_fresh(fresh) as file:
         file.write(text)
         file.flush()
         os.fsync(file.fileno())
@@ -53,7 +55,7 @@ def write_atomically(path: Path, text: str) -> None:
 def _append(path: Path, text: str) -> None:
     """Append to a file; if the disk is full, nothing of it."""
     data = text.encode()
-    with path.open("ab", buffering=0) as file:
+    with open_to_append(path) as file:
         size = file.tell()
         try:
             while data:
@@ -67,6 +69,15 @@ def _append(path: Path, text: str) -> None:
 def _is_of_a_run(name: str) -> bool:
     """Whether a run writes something of this name into its folder, be it for a moment only."""
     return name.removesuffix(".new").removeprefix("." if name.endswith(".new") else "") in FILES | FOLDERS
+
+
+def check_own_files(run: Path) -> None:
+    """Refuse a run directory in which a symbolic link takes the place of something that a run reads or writes.
+
+    Raises:
+        RunError: names the link.
+    """
+    refuse_links(run, _is_of_a_run)
 
 
 def _are_of_a_run(settings: Path) -> bool:
@@ -101,13 +112,15 @@ class RunDirectory:
 
     def __init__(self, path: Path, *, restart: bool = False, resume: bool = False) -> None:
         self.path = path.resolve() if path.is_symlink() or path.name in ("", "..") else path  # `latest`, or `.`
-        self._lock: IO[str] | None = None
+        self._lock: IO[bytes] | None = None
         try:
             self._prepare(restart, resume)
         except OSError as error:
             raise RunError(f"cannot write the run directory {path}: {error.strerror or error}") from None
 
     def _prepare(self, restart: bool, resume: bool) -> None:
+        if not restart:
+            check_own_files(self.path)
         if (self.path / CONFIG_FILE).exists():
             if not restart and not resume:
                 raise RunError(
@@ -147,7 +160,7 @@ class RunDirectory:
         Raises:
             RunError: if another process has claimed it.
         """
-        file = (self.path / LOCK_FILE).open("a", encoding="utf-8")
+        file = open_to_append(self.path / LOCK_FILE)
         try:
             fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except BlockingIOError:
@@ -220,7 +233,9 @@ def read_summary(path: Path) -> dict[str, Any]:
         RunError: if there is none, or it is damaged.
     """
     try:
-        summary: dict[str, Any] = json.loads((path / SUMMARY_FILE).read_text(encoding="utf-8"))
-    except (OSError, ValueError) as error:
+        summary = json.loads((path / SUMMARY_FILE).read_text(encoding="utf-8"))
+    except (OSError, ValueError, RecursionError) as error:
         raise RunError(f"no readable {SUMMARY_FILE} in {path}: {error}") from None
+    if not isinstance(summary, dict):
+        raise RunError(f"no readable {SUMMARY_FILE} in {path}: expected an object, found {type(summary).__name__}")
     return summary

@@ -16,7 +16,8 @@ def outcome_text(summary: Mapping[str, Any], run: Path) -> str:
     """
     total, policy = int(summary["interactions_total"]), summary.get("policy")
     if summary["solved"]:
-        told = solved_text(int(summary["interactions"]), total, int(summary.get("in_a_row", 1)))
+        first = summary["interactions"]
+        told = solved_text(total if first is None else int(first), total, int(summary.get("in_a_row", 1)))
     else:
         told = f"{summary['outcome']} after {total:,} interactions"
     if policy is None and not summary.get("evaluations"):

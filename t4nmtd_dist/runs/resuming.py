@@ -6,18 +6,24 @@ import json
 import os
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import msgspec
 
 from t4nmtd_dist.config import TaskConfig, merge, read_toml, task_config
 from t4nmtd_dist.errors import ConfigError, RunError
-from t4nmtd_dist.runs.directory import CHECKPOINTS_FOLDER, CONFIG_FILE, SUMMARY_FILE, read_summary, write_atomically
+from t4nmtd_dist.runs.counts import described, read_counts
+from t4nmtd_dist.runs.directory import (
+    CHECKPOINTS_FOLDER,
+    CONFIG_FILE,
+    SUMMARY_FILE,
+    check_own_files,
+    read_summary,
+    write_atomically,
+)
 from t4nmtd_dist.runs.file_names import file_name
 from t4nmtd_dist.runs.state_tree import State
 
 IDENTITY_FILE = "run.json"
-COUNTS_FILE = "counts.json"
 CHECKPOINT_EVERY_S = 300.0
 UNLESS_WRITTEN: State = {
     "acceptance": "first",
@@ -49,7 +55,8 @@ class StoppedRun:
     Attributes:
         config: its settings; the budget is its own.
         outcome: how it ended before; "" if it was killed.
-        interactions: spent until then, as far as its summary says.
+        interactions: spent until then, as far as its summary says, or else its counts.
+        warnings: what is damaged and can be done without.
     """
 
     path: Path
@@ -58,6 +65,7 @@ class StoppedRun:
     identity: Identity
     outcome: str
     interactions: int
+    warnings: tuple[str, ...] = ()
 
 
 def new_identity(*, serial: bool) -> Identity:
@@ -87,6 +95,7 @@ def read_stopped_run(run: Path) -> StoppedRun:
         RunError: if there is none, or it kept no checkpoints.
     """
     run = run.resolve() if run.is_symlink() else run  # `latest`, which a resume points at the run
+    _check_files(run)
     if not (run / CONFIG_FILE).exists():
         raise RunError(f"{run} holds no run to resume: there is no {CONFIG_FILE} in it")
     try:
@@ -99,27 +108,40 @@ def read_stopped_run(run: Path) -> StoppedRun:
         raise RunError(f"{run} cannot be resumed: it has kept no checkpoints, or they were deleted") from None
     except (KeyError, ValueError, OSError, ConfigError) as error:
         raise RunError(f"{run} cannot be resumed: {error}") from None
-    summary = read_summary(run) if (run / SUMMARY_FILE).exists() else {}
-    spent = int(summary.get("interactions_total", 0))
-    return StoppedRun(run, config, int(seed), identity, str(summary.get("outcome") or ""), spent)
+    return _with_end(run, config, int(seed), identity)
+
+
+def _with_end(run: Path, config: TaskConfig, seed: int, identity: Identity) -> StoppedRun:
+    """The run with how it ended: what its summary says, or its counts if that is damaged."""
+    if not (run / SUMMARY_FILE).exists():
+        return StoppedRun(run, config, seed, identity, "", 0)
+    try:
+        summary = read_summary(run)
+        outcome, spent = summary["outcome"], summary["interactions_total"]
+        if not (isinstance(outcome, str | None) and isinstance(spent, int) and spent >= 0):
+            raise RunError(f"{run / SUMMARY_FILE} is damaged: outcome = {outcome!r}, interactions_total = {spent!r}")
+    except (RunError, KeyError) as error:
+        counts = read_counts(run / CHECKPOINTS_FOLDER) or {}
+        spent = sum(total["interactions"] for total in counts.get("totals", {}).values())
+        told = f"{run / SUMMARY_FILE} is damaged ({described(error)}); going on without it"
+        return StoppedRun(run, config, seed, identity, _outcome(run, counts), spent, (told,))
+    return StoppedRun(run, config, seed, identity, outcome or "", spent)
+
+
+def _outcome(run: Path, counts: State) -> str:
+    """How a run ended as far as its counts say; one that was solved has no checkpoints once its result is written."""
+    outcome = str(counts.get("outcome") or "")
+    return "" if outcome == "solved" and (run / CHECKPOINTS_FOLDER / COORDINATOR).exists() else outcome
+
+
+def _check_files(run: Path) -> None:
+    try:
+        check_own_files(run)
+    except OSError as error:
+        raise RunError(f"{run} cannot be resumed: {error}") from None
 
 
 def checkpoint_folder(checkpoints: Path, place: str) -> Path:
     """Where the checkpoints of a sub-task's learner are."""
     name = file_name(place)
     return checkpoints / (f"{name}-learner" if name in (COORDINATOR, SERIAL) else name)
-
-
-def write_counts(checkpoints: Path, counts: State) -> None:
-    """Replace the counts kept between checkpoints; not fsynced, so that it can be done every second."""
-    fresh = checkpoints / f".{COUNTS_FILE}.new"
-    fresh.write_text(json.dumps(counts), encoding="utf-8")
-    os.replace(fresh, checkpoints / COUNTS_FILE)
-
-
-def read_counts(checkpoints: Path) -> Any:
-    """The counts written last; None if there are none, or none that can be read."""
-    try:
-        return json.loads((checkpoints / COUNTS_FILE).read_text(encoding="utf-8"))
-    except (OSError, ValueError):
-        return None

@@ -10,7 +10,7 @@ from t4nmtd_dist.errors import ProtocolError, RunError
 from t4nmtd_dist.wire.codec import Envelope
 from t4nmtd_dist.wire.handshake import HandshakeMonitor, Outcome, trouble
 from t4nmtd_dist.wire.keys import ClientKeys
-from t4nmtd_dist.wire.messages import Failure, Status, StatusRequest
+from t4nmtd_dist.wire.messages import Failure, Notice, Status, StatusRequest
 from t4nmtd_dist.wire.sockets import Context, connect, receive, send
 
 SENDER = "inquiry"
@@ -68,10 +68,39 @@ class Inquiry:
                 raise ProtocolError(envelope.message.text)
         raise RunError(f"{self._endpoint} accepted the question and did not answer within {timeout_s:.0f} s")
 
+    def tell(self, text: str, timeout_s: float) -> None:
+        """Give the coordinator a line or more for its event log; returns once it has taken them.
+
+        Raises:
+            ProtocolError: if it does not take them.
+            RunError: if no answer comes.
+        """
+        if not send(self._socket, Envelope(Notice(text=text), {}, SENDER)):
+            raise RunError(f"no connection to {self._endpoint} any more")
+        self.status(timeout_s)  # asked on the same connection, and so answered after the notice was read
+
     def close(self) -> None:
         """End the connection."""
         self._handshakes.close()
         self._socket.close(0)
+
+
+def give_notice(context: Context, endpoint: str, keys: ClientKeys | None, text: str, timeout_s: float) -> bool:
+    """Put a text into a coordinator's event log; whether it was taken in time.
+
+    Raises:
+        ConfigError: if the endpoint cannot be connected to.
+    """
+    inquiry = Inquiry(context, endpoint, keys)
+    try:
+        if inquiry.agree(timeout_s) != "agreed":
+            return False
+        inquiry.tell(text, timeout_s)
+    except (RunError, ProtocolError):
+        return False
+    finally:
+        inquiry.close()
+    return True
 
 
 def ask_status(context: Context, endpoint: str, keys: ClientKeys | None, timeout_s: float) -> Status:

@@ -14,6 +14,7 @@ from t4nmtd_dist.wire.keys import (
     OWN_CLIENT,
     PUBLIC_KEY,
     KeyPair,
+    make_private_folder,
     new_pair,
     read_public,
     write_public,
@@ -73,6 +74,7 @@ def add_client(folder: Path, name: str) -> Path:
     _, coordinator = read_public(folder / f"{COORDINATOR}.public")
     _check_unlisted(folder, name, "")
     made = folder / CLIENTS / name
+    _make_private(folder / CLIENTS)
     pair = make_client_folder(made, name, coordinator)
     allow(folder, name, pair.public)
     return made
@@ -124,9 +126,8 @@ def listed_clients(folder: Path) -> Mapping[str, str]:
 
 def _make_private(folder: Path) -> None:
     try:
-        folder.mkdir(parents=True, exist_ok=True, mode=0o700)
         if any(folder.glob("*.secret")):
             raise KeyFileError(f"{folder} holds keys already; `t4nmtd keys add {folder} NAME` adds a client")
-        folder.chmod(0o700)
+        make_private_folder(folder)
     except OSError as error:
         raise KeyFileError(f"cannot make the folder {folder}: {error.strerror}") from None

@@ -138,6 +138,16 @@ def _hint(path: Path) -> str:
     return f"a client needs a folder such as DIR/{CLIENTS}/NAME, with client.secret and coordinator.public"
 
 
+def make_private_folder(path: Path) -> None:
+    """A folder that only its owner may use, whatever the umask; its permissions are corrected if it exists.
+
+    Raises:
+        OSError: if it cannot be made.
+    """
+    path.mkdir(parents=True, exist_ok=True, mode=0o700)
+    path.chmod(0o700)
+
+
 def write_secret(path: Path, pair: KeyPair) -> None:
     """Write a pair so that only its owner can read it.
 
@@ -165,9 +175,11 @@ def _write(path: Path, text: str, mode: int) -> None:
     """Whole or not at all, with its permissions from the first moment, and never over another file."""
     fresh = path.with_name(f".{path.name}.new")
     try:
-        path.parent.mkdir(parents=True, exist_ok=True, mode=0o700)
+        if not path.parent.is_dir():
+            make_private_folder(path.parent)
         fresh.unlink(missing_ok=True)
         with open(fresh, "x", encoding="utf-8", opener=lambda name, flags: os.open(name, flags, mode)) as file:
+            os.fchmod(file.fileno(), mode)  # the umask may have taken some of it away
             file.write(text)
             file.flush()
             os.fsync(file.fileno())

@@ -75,6 +75,8 @@ class LearnerStats(Message, frozen=True):
     """Cumulative counts of one learner since its lease began; the coordinator adds earlier epochs.
 
     ``peer_rows``: experiences of peers that it can learn from now. ``processor_s``: what acting and learning took.
+    ``errors``, ``timeouts`` and ``terminated``: attempts without success that ended in an error state, by lack of
+    time, and with the environment.
     """
 
     phase: LearnerPhase = "waiting"
@@ -89,6 +91,9 @@ class LearnerStats(Message, frozen=True):
     peer_rows: int = 0
     processor_s: float = 0.0
     intervention: Intervention = Intervention()
+    errors: int = 0
+    timeouts: int = 0
+    terminated: int = 0
 
 
 class Sync(Message, frozen=True, tag="sync"):
@@ -187,6 +192,12 @@ class StatusRequest(Message, frozen=True, tag="status_request"):
     """Anyone -> coordinator: how is the run? Changes nothing."""
 
 
+class Notice(Message, frozen=True, tag="notice"):
+    """Launcher -> coordinator: something that belongs into the event log, such as how a worker ended. Not answered."""
+
+    text: str
+
+
 class Failure(Message, frozen=True, tag="failure"):
     """Answer to a message that could not be understood."""
 
@@ -239,7 +250,7 @@ class ExperienceReply(Message, frozen=True, tag="experience_reply"):
 
 
 class LearnerRow(Message, frozen=True):
-    """One learner on the dashboard; ``heartbeat_age_s`` None: never heard of."""
+    """One learner on the dashboard; ``heartbeat_age_s`` None: never heard of; ``hint``: lines if it is stuck."""
 
     pid: str
     phase: LearnerPhase
@@ -255,6 +266,8 @@ class LearnerRow(Message, frozen=True):
     starts_waiting: int
     heartbeat_age_s: float | None
     intervention: Intervention
+    successes: int = 0
+    hint: str = ""
 
 
 class QCell(Message, frozen=True):
@@ -357,6 +370,7 @@ KINDS: dict[str, type[Message]] = {
         Goodbye,
         StatusRequest,
         Status,
+        Notice,
         Failure,
         ValueRequest,
         ValueReply,

@@ -1,0 +1,44 @@
+"""Where the programs start: first of all they make sure that our packages are what their names give."""
+
+from __future__ import annotations
+
+import sys
+
+from t4nmtd_dist.errors import ImportNameError
+from t4nmtd_dist.launch.import_names import check_import_names
+
+
+def t4nmtd() -> None:
+    """Entry point of ``t4nmtd``."""
+    _check("t4nmtd")
+    from t4nmtd_dist.cli.main import main
+
+    main()
+
+
+def coordinator() -> None:
+    """Entry point of ``t4nmtd-coordinator``."""
+    _check("t4nmtd-coordinator")
+    from coordinator.__main__ import main
+
+    main()
+
+
+def worker() -> None:
+    """Entry point of ``t4nmtd-worker``."""
+    _check("t4nmtd-worker")
+    from workers.__main__ import main
+
+    main()
+
+
+def _check(program: str) -> None:
+    try:
+        check_import_names()
+    except ImportNameError as error:
+        print(f"{program}: {error}", file=sys.stderr)
+        sys.exit(2)
+
+
+if __name__ == "__main__":
+    {"coordinator": coordinator, "worker": worker, "t4nmtd": t4nmtd}[sys.argv.pop(1)]()

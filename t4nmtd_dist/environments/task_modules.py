@@ -1,0 +1,92 @@
+"""Modules that a task file names, which may be called like ours: ``envs``, ``workers``, ``coordinator``.
+
+The task's folder comes first on Python's path, so a module there is usually imported by its plain name. Where that name
+would give another module (one of ours, or one that is imported already), the file is loaded under a private name:
+``_t4nmtd_task_<folder's hash>.<name>``, a package whose path is the task's folder (docs/decisions/021).
+"""
+
+from __future__ import annotations
+
+import importlib
+import importlib.util
+import os
+import sys
+from hashlib import sha256
+from importlib.machinery import ModuleSpec, PathFinder
+from types import ModuleType
+
+import gymnasium as gym
+
+OURS = ("t4nmtd_dist", "coordinator", "workers", "envs")
+OUR_WORLDS = "envs:t4nmtd/"  # ids that begin so mean our worlds, whatever else is called envs
+
+
+def import_task_module(name: str, folder: str) -> ModuleType:
+    """Import a module that a task names; a second import gives the same object.
+
+    Args:
+        name: dotted name.
+        folder: where the task's own modules are; "" if it has none.
+
+    Raises:
+        Exception: whatever importing it raises.
+    """
+    if not folder:
+        return importlib.import_module(name)
+    for ours in OURS:  # once they are imported, nothing on the path can hide them
+        importlib.import_module(ours)
+    if folder not in sys.path:
+        sys.path.insert(0, folder)
+    known = set(gym.registry)
+    module = importlib.import_module(_private(name, folder) if _is_hidden(name, folder) else name)
+    _redirect(set(gym.registry) - known, folder)
+    return module
+
+
+def explained(error: ImportError, folder: str) -> str:
+    """More about a failed import, if one of our packages answered in place of the user's; else ""."""
+    top = (error.name or "").partition(".")[0]
+    if top not in OURS or not folder or PathFinder.find_spec(top, [folder]) is None:
+        return ""
+    return (
+        f"; {top} is a package of t4nmtd-dist here, not the one in {folder}: rename yours, or let the task file name "
+        f"its modules ({top}.module:make) and let these import each other relatively (from . import ...)"
+    )
+
+
+def _is_hidden(name: str, folder: str) -> bool:
+    """Whether the folder has this module, and its plain name gives another one."""
+    top, _, rest = name.partition(".")
+    theirs = PathFinder.find_spec(top, [folder])
+    if theirs is None:
+        return False
+    if theirs.origin is None:  # a folder without __init__.py: Python prefers any module to it
+        inner = PathFinder.find_spec(rest.partition(".")[0], list(theirs.submodule_search_locations or ()))
+        return top in OURS and bool(rest) and inner is not None
+    try:
+        plain = importlib.util.find_spec(top)
+    except ValueError:  # a module without a specification, made by hand
+        return True
+    return plain is None or _place(plain) != _place(theirs)
+
+
+def _place(spec: ModuleSpec) -> str:
+    return os.path.realpath(spec.origin or "")
+
+
+def _private(name: str, folder: str) -> str:
+    parent = f"_t4nmtd_task_{sha256(folder.encode()).hexdigest()[:12]}"
+    if parent not in sys.modules:
+        package = ModuleType(parent, f"The modules in {folder} whose names are taken.")
+        package.__path__ = [folder]
+        sys.modules[parent] = package
+    return f"{parent}.{name}"
+
+
+def _redirect(registered: set[str], folder: str) -> None:
+    """Let new registrations find entry points in modules of the folder whose names are taken."""
+    for spec in (gym.registry[name] for name in registered):
+        if isinstance(spec.entry_point, str):
+            module, colon, attribute = spec.entry_point.partition(":")
+            if _is_hidden(module, folder):
+                spec.entry_point = f"{_private(module, folder)}{colon}{attribute}"
