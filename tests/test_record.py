@@ -16,6 +16,7 @@ from t4nmtd_dist.cli import record as command
 from t4nmtd_dist.cli.record import record
 from t4nmtd_dist.compiled import compile_task
 from t4nmtd_dist.decomposition import Decomposition
+from t4nmtd_dist.environments.trusted_code import remember
 from t4nmtd_dist.errors import ConfigError, T4NMTDError, WorldError
 from t4nmtd_dist.policy import GlobalPolicy, load
 from t4nmtd_dist.recording import BANNER_HEIGHT, LEAST_WIDTH, captioned, open_for_recording, play
@@ -38,8 +39,9 @@ hidden = [2]
 
 
 def exported(folder: Path, text: str = CORRIDOR, bias: tuple[float, float] = (1.0, 0.0)) -> Path:
-    """A policy that always goes left (or right, by ``bias``)."""
+    """A policy that always goes left (or right, by ``bias``), of a user who has trained it."""
     task = compile_task(load_task(str(own_task(folder, text))), translator="python")
+    remember(task.config.environment)
     width = 7 + task.dfa.states
     weights = {
         "actor.0.weight": np.zeros((2, width), np.float32),

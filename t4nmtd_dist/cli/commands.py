@@ -54,6 +54,8 @@ class Evaluate:
     """Seed of the environment's resets and of perturbations."""
     perturb: int = 0
     """Begin each episode with k random actions, k uniform from 0 to this."""
+    trust: bool = False
+    """Import the code that the policy names, whoever made it; without this, only what you have run here before."""
     as_json: Annotated[bool, tyro.conf.arg(name="json")] = False
     """Print JSON instead of a sentence."""
 
@@ -62,7 +64,12 @@ class Evaluate:
         from t4nmtd_dist.cli.evaluate import evaluate
 
         return evaluate(
-            self.run_or_policy, episodes=self.episodes, seed=self.seed, perturb=self.perturb, as_json=self.as_json
+            self.run_or_policy,
+            episodes=self.episodes,
+            seed=self.seed,
+            perturb=self.perturb,
+            as_json=self.as_json,
+            trust=self.trust,
         )
 
 
@@ -153,12 +160,16 @@ class Record:
     """Seed of the environment's resets."""
     fps: int | None = None
     """Frames a second; by default what the environment says, else 10."""
+    trust: bool = False
+    """Import the code that the policy names, whoever made it; without this, only what you have run here before."""
 
     def run(self) -> int:
         """Record."""
         from t4nmtd_dist.cli.record import record
 
-        return record(self.run_or_policy, self.out, episodes=self.episodes, seed=self.seed, fps=self.fps)
+        return record(
+            self.run_or_policy, self.out, episodes=self.episodes, seed=self.seed, fps=self.fps, trust=self.trust
+        )
 
 
 @dataclass(frozen=True)

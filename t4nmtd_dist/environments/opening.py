@@ -13,6 +13,7 @@ from typing import Any
 import gymnasium as gym
 
 from t4nmtd_dist.config import EnvironmentConfig
+from t4nmtd_dist.environments.named_code import code_named
 from t4nmtd_dist.errors import WorldError
 
 Env = gym.Env[Any, Any]
@@ -81,13 +82,16 @@ def import_function(text: str, config: EnvironmentConfig, key: str) -> Callable[
 
 
 def import_module(name: str, config: EnvironmentConfig) -> ModuleType:
-    """Import a module, looking into the task file's folder first, as Python does for a script.
+    """Import a module, looking into the task's folders first, as Python does for a script.
+
+    The folders are left out where everything that the task names is part of the package or installed: a folder that
+    came with a stranger's policy must not shadow installed modules.
 
     Raises:
         WorldError: if it cannot be imported; the text says where it was searched for.
     """
-    if config.path and config.path not in sys.path:
-        sys.path.insert(0, config.path)
+    if code_named(config):
+        sys.path[:0] = [folder for folder in config.folders if folder not in sys.path]
     try:
         return importlib.import_module(name)
     except ModuleNotFoundError as error:
@@ -99,11 +103,14 @@ def import_module(name: str, config: EnvironmentConfig) -> ModuleType:
 
 
 def _searched(config: EnvironmentConfig) -> str:
-    if not config.path:
+    if not config.folders:
         return "; is it installed?"
-    lacking = "" if Path(config.path).is_dir() else ", which is no folder on this machine"
+    searched = [
+        folder if Path(folder).is_dir() else f"{folder}, which is no folder on this machine"
+        for folder in config.folders
+    ]
     return (
-        f" in {config.path}{lacking}, nor among what is installed; on another machine, install it there or "
+        f" in {', nor in '.join(searched)}, nor among what is installed; on another machine, install it there or "
         f"start the worker with PYTHONPATH set to its folder"
     )
 
