@@ -14,6 +14,7 @@ import gymnasium as gym
 
 from t4nmtd_dist.config import EnvironmentConfig
 from t4nmtd_dist.environments.named_code import code_named
+from t4nmtd_dist.environments.user_errors import calls, described
 from t4nmtd_dist.errors import WorldError
 
 Env = gym.Env[Any, Any]
@@ -96,10 +97,10 @@ def import_module(name: str, config: EnvironmentConfig) -> ModuleType:
         return importlib.import_module(name)
     except ModuleNotFoundError as error:
         if error.name is None or not f"{name}.".startswith(f"{error.name}."):
-            raise WorldError(f"importing {name!r} for environment {config.id!r}: {error}") from None
+            raise WorldError(f"importing {name!r} for environment {config.id!r}: {described(error)}") from None
         raise WorldError(f"environment {config.id!r}: no module {name!r}{_searched(config)}") from None
     except Exception as error:  # whatever a user's module may raise
-        raise WorldError(f"importing {name!r} for environment {config.id!r}: {_described(error)}") from error
+        raise WorldError(f"importing {name!r} for environment {config.id!r}: {described(error)}") from error
 
 
 def _searched(config: EnvironmentConfig) -> str:
@@ -140,12 +141,8 @@ def _called(config: EnvironmentConfig, options: dict[str, Any], maker: Callable[
     try:
         return maker(**options)
     except (TypeError, ValueError) as error:
-        raise WorldError(f"environment {config.id!r} refused its options {options}: {error}") from None
+        raise WorldError(f"environment {config.id!r} refused its options {options}: {error}{calls(error)}") from None
     except (gym.error.Error, ImportError) as error:
-        raise WorldError(f"environment {config.id!r}: {error}") from None
+        raise WorldError(f"environment {config.id!r}: {error}{calls(error)}") from None
     except Exception as error:  # whatever a user's code may raise
-        raise WorldError(f"making environment {config.id!r} with {options}: {_described(error)}") from error
-
-
-def _described(error: Exception) -> str:
-    return f"{type(error).__name__}: {error}"
+        raise WorldError(f"making environment {config.id!r} with {options}: {described(error)}") from error

@@ -10,6 +10,7 @@ from t4nmtd_dist.compiled import CompiledTask
 from t4nmtd_dist.environments.copies import EnvironmentCopy
 from t4nmtd_dist.environments.preparation import check_fit, slowness
 from t4nmtd_dist.environments.restoring import Choice, choose_snapshots, chosen
+from t4nmtd_dist.environments.user_errors import described
 from t4nmtd_dist.errors import T4NMTDError, WorldError
 
 MORE_TRIALS = 20
@@ -76,7 +77,7 @@ def survey(task: CompiledTask, *, steps: int, seed: int) -> Survey:
     except T4NMTDError:
         raise
     except Exception as error:  # whatever a user's environment may raise
-        raise WorldError(f"environment {config.environment.id!r} raised {type(error).__name__}: {error}") from error
+        raise WorldError(f"environment {config.environment.id!r} raised {described(error)}") from error
     _judge(task, found)
     return found
 

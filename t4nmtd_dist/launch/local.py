@@ -186,4 +186,4 @@ def _last_words(log: Path, code: int | None) -> str:
 
 def _tail(log: Path) -> str:
     lines = log.read_text(encoding="utf-8", errors="replace").strip().splitlines()
-    return "\n".join(lines[-10:])
+    return "\n".join(lines[-20:])
