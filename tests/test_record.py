@@ -142,3 +142,18 @@ def test_an_environment_that_draws_nothing_is_named(tmp_path: Path, monkeypatch:
     with pytest.raises(WorldError, match="drew NoneType; expected an rgb_array"):
         record(policy, tmp_path / "film.gif", episodes=1, seed=0, fps=None)
     assert not (tmp_path / "film.gif").exists()
+
+
+@pytest.mark.parametrize("make", ["always_drawn", "handed_on", "timed"])
+def test_callables_of_every_form_can_be_filmed(make: str, tmp_path: Path) -> None:
+    out = tmp_path / "film.gif"
+    policy = exported(tmp_path, CORRIDOR.replace("Corridor", make))
+    assert record(policy, out, episodes=1, seed=0, fps=5) == 0
+    assert len(imageio.v3.improps(out, index=...).shape) == 4
+
+
+def test_a_callable_that_cannot_draw_is_told_what_to_add(tmp_path: Path) -> None:
+    policy = exported(tmp_path, CORRIDOR.replace("Corridor", "undrawn"))
+    with pytest.raises(WorldError, match=r"undrawn\(\) takes no keyword render_mode.* add .* and pass it on"):
+        record(policy, tmp_path / "film.gif", episodes=1, seed=0, fps=None)
+    assert not (tmp_path / "film.gif").exists()
