@@ -129,6 +129,7 @@ def test_an_error_while_snapshots_are_checked_is_told_so_too(place: str, broken:
     with pytest.raises(WorldError) as raised:
         choose_snapshots(config(tmp_path, snapshot_bytes=0), NAMES)
     assert f'File "{tmp_path / "broken.py"}", line {LINE}, in fail' in str(raised.value)
+    assert "cause" not in str(raised.value)
 
 
 def test_a_step_of_a_batch_is_told_likewise(broken: ModuleType, tmp_path: Path) -> None:

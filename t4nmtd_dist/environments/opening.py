@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import copy
 import importlib
+import inspect
 import sys
 from collections.abc import Callable
 from pathlib import Path
@@ -30,18 +31,34 @@ def open_environment(config: EnvironmentConfig, *, render_mode: str | None = Non
 
     Args:
         config: the section ``[environment]``.
-        render_mode: passed on to the environment's constructor or to the callable.
+        render_mode: passed on to the environment's constructor, or to the callable if it takes that keyword.
 
     Raises:
-        WorldError: if the environment is unknown, cannot be imported, or refuses its options.
+        WorldError: if the environment is unknown, cannot be imported, refuses its options, or cannot be drawn.
     """
-    options = {**config.options, **({"render_mode": render_mode} if render_mode else {})}
     spec = find_spec(config)
     maker: Callable[..., Any] = _callable(config) if spec is None else _plain(spec)
+    passed_on = render_mode is not None and _takes_render_mode(maker)
+    options = {**config.options, **({"render_mode": render_mode} if passed_on else {})}
     env = _called(config, options, maker)
     if not isinstance(env, gym.Env):
         raise WorldError(f"environment {config.id!r} made {type(env).__name__}; expected a gymnasium.Env")
+    if render_mode is not None and not passed_on and env.render_mode != render_mode:
+        raise WorldError(
+            f"environment {config.id!r} cannot be drawn: {config.id.rpartition(':')[2]}() takes no keyword "
+            "render_mode; add render_mode=None to its parameters and pass it on to the environment that it makes, or "
+            f"let it make that with render_mode={render_mode!r}"
+        )
     return env
+
+
+def _takes_render_mode(maker: Callable[..., Any]) -> bool:
+    """Whether a callable takes the keyword; assumed where Python does not know its parameters."""
+    try:
+        parameters = inspect.signature(maker).parameters
+    except (TypeError, ValueError):
+        return True
+    return "render_mode" in parameters or any(p.kind is p.VAR_KEYWORD for p in parameters.values())
 
 
 def find_spec(config: EnvironmentConfig) -> Spec | None:
