@@ -35,11 +35,14 @@ def bundled_ids() -> frozenset[str]:
     return frozenset(load_task(name).environment.id for name in task_names())
 
 
-def _leaves(value: Any) -> Iterator[Any]:
+def _leaves(options: Mapping[str, Any]) -> Iterator[Any]:
     """All values of options, however deep; keys only name arguments."""
-    held = value.values() if isinstance(value, Mapping) else value if isinstance(value, list | tuple) else None
-    if held is None:
-        yield value
-    else:
-        for each in held:
-            yield from _leaves(each)
+    left: list[Any] = [options]
+    while left:
+        value = left.pop()
+        if isinstance(value, Mapping):
+            left.extend(value.values())
+        elif isinstance(value, list | tuple):
+            left.extend(value)
+        else:
+            yield value
