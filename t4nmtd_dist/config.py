@@ -34,8 +34,8 @@ class EnvironmentConfig:
         horizon: steps of an episode.
         options: keywords of the constructor or the callable.
         labels: ``module:function``, the labelling function; without it the environment reports ``info["labels"]``.
-        path: folder in which modules are looked for first; by default that of the task file. It is absolute by the
-            time that workers see it.
+        path: further folders in which modules are searched for, one or a list, relative to the task file's folder.
+            ``load_task`` makes them absolute and puts the task file's own folder first.
         snapshots: how states are saved and restored; ``auto`` tries the others in this order and checks each.
         snapshot_bytes: room of a snapshot, 0 for what the check found; ``replay`` takes what the horizon needs.
         leave_out: keys of a Dict observation that are not learned from, such as texts.
@@ -45,10 +45,16 @@ class EnvironmentConfig:
     horizon: int
     options: dict[str, Any] = field(default_factory=dict)
     labels: str = ""
-    path: str = ""
+    path: str | tuple[str, ...] = ""
     snapshots: Literal["auto", "own", "mujoco", "attributes", "replay"] = "auto"
     snapshot_bytes: int = 0
     leave_out: tuple[str, ...] = ()
+
+    @property
+    def folders(self) -> tuple[str, ...]:
+        """The folders of ``path``, in the order in which they are searched."""
+        listed = (self.path,) if isinstance(self.path, str) else self.path
+        return tuple(folder for folder in listed if folder)
 
 
 @dataclass(frozen=True)

@@ -43,3 +43,7 @@ class RunError(T4NMTDError):
 
 class PolicyError(T4NMTDError):
     """An exported policy that is missing, damaged, or of another format version."""
+
+
+class TrustError(T4NMTDError):
+    """Code that a policy, a run or a coordinator names, and that this user has not said to run."""

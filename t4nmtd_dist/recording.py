@@ -99,10 +99,7 @@ def _outcome(policy: GlobalPolicy, q: int, step: int) -> str:
 
 
 def _frame(copy: EnvironmentCopy) -> Frame:
-    try:
-        drawn: Any = copy.env.render()
-    except Exception as error:  # whatever a user's environment may raise
-        raise WorldError(f"drawing {copy.env}: {type(error).__name__}: {error}") from error
+    drawn = copy.render()
     if not isinstance(drawn, np.ndarray) or drawn.ndim != 3 or drawn.shape[2] != 3 or drawn.dtype != np.uint8:
         raise WorldError(f"{copy.env} drew {type(drawn).__name__}; expected an rgb_array, uint8 [height, width, 3]")
     return drawn

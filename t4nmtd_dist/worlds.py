@@ -20,6 +20,7 @@ from t4nmtd_dist.environments.observations import flattener
 from t4nmtd_dist.environments.opening import Spec, find_spec
 from t4nmtd_dist.environments.packing import dice_state, set_dice_state
 from t4nmtd_dist.environments.restoring import with_snapshots
+from t4nmtd_dist.environments.user_errors import call_user, calls, described
 from t4nmtd_dist.errors import WorldError
 from t4nmtd_dist.runs.state_tree import State, generator_states, set_generator_states
 
@@ -115,9 +116,13 @@ def _open_vector(config: EnvironmentConfig, spec: Spec, count: int) -> Any:
     try:
         return gym.make_vec(spec.id, count, "vector_entry_point", **config.options)
     except (TypeError, ValueError) as error:
-        raise WorldError(f"environment {config.id!r} refused its options {config.options}: {error}") from None
+        text = f"environment {config.id!r} refused its options {config.options}: {error}{calls(error)}"
+        raise WorldError(text) from None
     except (gym.error.Error, ImportError) as error:
-        raise WorldError(f"environment {config.id!r}: {error}") from None
+        raise WorldError(f"environment {config.id!r}: {error}{calls(error)}") from None
+    except Exception as error:  # whatever a user's code may raise
+        text = f"making environment {config.id!r} with {config.options}: {described(error)}"
+        raise WorldError(text) from error
 
 
 class VectorWorld:
@@ -126,7 +131,7 @@ class VectorWorld:
     replayed = 0
 
     def __init__(self, env: Any, leave_out: Sequence[str] = ()) -> None:
-        self._env = env
+        self._env, self._who = env, f"environment {env.spec.id!r}"
         self.count = int(env.num_envs)
         self.propositions: tuple[str, ...] = tuple(env.propositions)
         flat = flattener(env.single_observation_space, leave_out)
@@ -137,22 +142,24 @@ class VectorWorld:
         """See ``BatchedWorld.reset``."""
         mask = np.zeros(self.count, dtype=np.bool_)
         mask[rows] = True
-        observations, _ = self._env.reset(seed=seed, options={"reset_mask": mask})
+        options = {"reset_mask": mask}
+        observations, _ = call_user(self._who, "reset()", self._env.reset, seed=seed, options=options)
         kept: Observations = observations[rows]
         return kept
 
     def restore(self, rows: Rows, states: Sequence[NDArray[Any]]) -> Observations:
         """See ``BatchedWorld.restore``."""
-        observations: Observations = self._env.set_states(rows, np.stack(list(states)))
+        stacked = np.stack(list(states))
+        observations: Observations = call_user(self._who, "set_states()", self._env.set_states, rows, stacked)
         return observations
 
     def snapshot(self, rows: Rows) -> list[NDArray[Any]]:
         """See ``BatchedWorld.snapshot``."""
-        return list(self._env.get_states(rows))
+        return list(call_user(self._who, "get_states()", self._env.get_states, rows))
 
     def step(self, actions: NDArray[Any]) -> WorldStep:
         """See ``BatchedWorld.step``."""
-        observations, _, terminated, truncated, info = self._env.step(actions)
+        observations, _, terminated, truncated, info = call_user(self._who, "step()", self._env.step, actions)
         return WorldStep(observations, info["labels"], terminated, truncated)
 
     def state(self) -> State:

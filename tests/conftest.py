@@ -18,6 +18,14 @@ def pytest_configure() -> None:
             signal.signal(number, default)
 
 
+@pytest.fixture(autouse=True, scope="session")
+def _state_folder(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
+    """What the tests make this user trust is forgotten with them."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv("XDG_STATE_HOME", str(tmp_path_factory.mktemp("state")))
+        yield
+
+
 @pytest.fixture
 def context() -> Iterator[Context]:
     """A ZeroMQ context that ends without waiting for anything."""

@@ -139,6 +139,21 @@ def timed(steps: int = 8, render_mode: str | None = None) -> Any:
     return gymnasium.wrappers.TimeLimit(Corridor(render_mode=render_mode), steps)
 
 
+def undrawn(slip: float = 0.0) -> Any:
+    """A corridor as users make it who have not thought of films."""
+    return gymnasium.wrappers.TimeLimit(Corridor(slip), 30)
+
+
+def always_drawn() -> Any:
+    """A corridor that can always be drawn."""
+    return gymnasium.wrappers.TimeLimit(Corridor(render_mode="rgb_array"), 30)
+
+
+def handed_on(**options: Any) -> Any:
+    """Whatever keywords come are the corridor's."""
+    return gymnasium.wrappers.TimeLimit(Corridor(**options), 30)
+
+
 def failing(**options: Any) -> Any:
     raise RuntimeError("no licence for the simulator")
 

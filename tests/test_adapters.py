@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import re
 from collections import deque
 from pathlib import Path
 from typing import Any
@@ -20,6 +21,7 @@ from t4nmtd_dist.environments.attribute_state import CannotRestoreError, pack, r
 from t4nmtd_dist.environments.copies import EnvironmentCopy
 from t4nmtd_dist.environments.observations import flattener
 from t4nmtd_dist.environments.restoring import choose_snapshots, chosen, with_snapshots
+from t4nmtd_dist.environments.restoring_words import difference
 from t4nmtd_dist.errors import WorldError
 from t4nmtd_dist.wire.codec import Envelope, decode, encode
 from t4nmtd_dist.wire.messages import Release
@@ -79,8 +81,57 @@ def test_mujoco_environments_are_restored_by_their_integration_state(tmp_path: P
 
 
 def test_chance_that_no_seed_reaches_is_refused_with_what_each_adapter_did_wrong() -> None:
-    with pytest.raises(WorldError, match=r"Erratic.*attributes: another .* after restoring.*replay: another"):
+    with pytest.raises(WorldError) as raised:
         choose_snapshots(environment("Erratic"), NAMES)
+    first, attributes, replay, cause = str(raised.value).splitlines()
+    assert "'own_environments:Erratic' cannot be put back into an earlier state" in first
+    assert re.search(r"attributes .*: .*another copy, .*(instead of|should)", attributes)
+    assert re.search(r"replay.*another copy, .*(instead of|should)", replay)
+    assert "draw all of it from self.np_random" in cause
+
+
+REFUSALS = {
+    "Forgetful": ("own", r"get_state\(\) or set_state\(\) leaves out"),
+    "Opaque": ("attributes", r"write get_state\(\) and set_state\(\)"),
+    "Erratic": ("replay", r"draw all of it from self\.np_random"),
+}
+
+
+@pytest.mark.parametrize("name", REFUSALS)
+def test_a_refused_adapter_is_told_with_what_differs_and_what_to_do(name: str) -> None:
+    adapter, advice = REFUSALS[name]
+    with pytest.raises(WorldError, match=advice) as raised:
+        choose_snapshots(environment(name, snapshots=adapter), NAMES)
+    told = str(raised.value)
+    assert ('environment.snapshots = "replay"' in told) == (adapter != "replay")
+    assert re.search(r"after \d+ steps?, |right after restoring, ", told)
+
+
+@given(
+    then=st.lists(st.floats(-9, 9, width=32), min_size=1, max_size=5),
+    data=st.data(),
+)
+def test_a_difference_names_the_entry_and_both_numbers(then: list[float], data: st.DataObject) -> None:
+    before = np.array(then, np.float32)
+    entry = data.draw(st.integers(0, len(then) - 1))
+    now = before.copy()
+    now[entry] = np.float32(100.5)
+    told = difference("observation", now, before, NAMES)
+    assert told is not None
+    assert f"entry {entry} of the observation is 100.5 instead of {before[entry]:g}" in told
+    assert difference("observation", before, before.copy(), NAMES) is None
+    assert difference("observation", np.array([np.nan]), np.array([np.nan]), NAMES) is None
+
+
+def test_a_difference_names_the_labels_and_the_end() -> None:
+    labels = np.array([[True, False, True], [True, True, False]])
+    assert (
+        difference("labels", labels[0], labels[1], NAMES)
+        == "again holds but should not, right should hold but does not"
+    )
+    assert difference("terminated", True, False, NAMES) == "the episode is terminated but should not be"
+    assert difference("truncated", False, True, NAMES) == "the episode is not truncated but should be"
+    assert difference("truncated", True, True, NAMES) is None
 
 
 def test_a_setting_chooses_the_adapter_and_one_that_does_not_fit_is_refused() -> None:

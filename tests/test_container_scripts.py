@@ -47,7 +47,8 @@ def test_after_a_crash_its_own_run_goes_on(tmp_path: Path) -> None:
     run = first.split("--run-dir ")[1].split()[0]
     assert first.startswith("--task task7 --seed 5 --run-dir runs/task7/")
     assert run.endswith("-s5")
-    assert second.startswith(f"--resume {run} ")
+    assert second.startswith(f"--resume {run} --trust ")
+    assert "--trust" not in first
     assert code == SOLVED
 
 
@@ -62,6 +63,13 @@ def test_a_resumed_run_is_resumed_again_whatever_the_task_is_by_default(tmp_path
     code, told = calls(tmp_path, [CRASHED, CRASHED, SOLVED], RESUME="runs/task8/latest")
     assert (code, len(told)) == (SOLVED, 3)
     assert all(line.startswith("--resume runs/task8/latest ") for line in told)
+    assert ["--trust" in line for line in told] == [False, True, True]
+
+
+def test_a_resumed_run_is_trusted_from_the_start_only_where_the_user_says_so(tmp_path: Path) -> None:
+    an_older_run(tmp_path, "task8")
+    _, (told,) = calls(tmp_path, [SOLVED], RESUME="runs/task8/latest", TRUST="1")
+    assert told.startswith("--resume runs/task8/latest --trust ")
 
 
 @pytest.mark.parametrize("code", [2, 3, 130])

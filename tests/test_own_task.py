@@ -21,6 +21,7 @@ from coordinator.state import RunSettings
 from t4nmtd_dist.compiled import CompiledTask, compile_task
 from t4nmtd_dist.config import EnvironmentConfig, task_config
 from t4nmtd_dist.environments import restoring
+from t4nmtd_dist.environments.opening import import_module
 from t4nmtd_dist.environments.preparation import prepared
 from t4nmtd_dist.errors import WorldError
 from t4nmtd_dist.launch.serial import SerialRun
@@ -62,8 +63,27 @@ def processes(tmp_path: Path) -> Iterator[Processes]:
 def test_modules_are_looked_for_beside_the_task_file(tmp_path: Path) -> None:
     assert example().config.environment.path == str(EXAMPLE.parent)
     text = BROKEN.replace(str(HERE), "code")
-    assert load_task(str(own_task(tmp_path, text))).environment.path == str(tmp_path / "code")
+    assert load_task(str(own_task(tmp_path, text))).environment.folders == (str(tmp_path), str(tmp_path / "code"))
     assert load_task("task7").environment.path == ""
+
+
+@pytest.mark.parametrize("path", ["", 'path = "more"', 'path = ["more", "../even_more"]'])
+def test_further_folders_are_searched_after_the_task_files_own(path: str, tmp_path: Path) -> None:
+    folders = {"task": tmp_path / "task", "more": tmp_path / "task" / "more", "even_more": tmp_path / "even_more"}
+    for name, folder in folders.items():
+        folder.mkdir(parents=True)
+        for module in (f"only_in_{name}_{tmp_path.name}", f"everywhere_{tmp_path.name}"):
+            where = f"WHERE = {name!r}\nfrom own_environments import Corridor as Place\n"
+            (folder / f"{module}.py").write_text(where, encoding="utf-8")
+    text = BROKEN.replace(f'path = "{HERE}"', path)
+    config = task_config(json.loads(json.dumps(load_task(str(own_task(folders["task"], text))).to_dict()))).environment
+    given = [name for name in folders if name == "task" or name in path]
+    assert config.folders == tuple(str(folders[name]) for name in given)
+    assert import_module(f"everywhere_{tmp_path.name}", config).WHERE == "task"
+    for name in given:
+        assert name == import_module(f"only_in_{name}_{tmp_path.name}", config).WHERE
+    with pytest.raises(WorldError, match=r"no module 'no_such' in .*task.*nor among what is installed"):
+        import_module("no_such", config)
 
 
 def test_random_actions_hardly_ever_succeed() -> None:

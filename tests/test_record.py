@@ -17,6 +17,7 @@ from t4nmtd_dist.cli import record as command
 from t4nmtd_dist.cli.record import record
 from t4nmtd_dist.compiled import compile_task
 from t4nmtd_dist.decomposition import Decomposition
+from t4nmtd_dist.environments.trusted_code import remember
 from t4nmtd_dist.errors import ConfigError, T4NMTDError, WorldError
 from t4nmtd_dist.policy import GlobalPolicy, load
 from t4nmtd_dist.recording import BANNER_HEIGHT, LEAST_WIDTH, captioned, open_for_recording, play
@@ -42,8 +43,9 @@ hidden = [2]
 def exported(
     folder: Path, text: str = CORRIDOR, bias: tuple[float, float] = (1.0, 0.0), mode: ActionMode = "greedy"
 ) -> Path:
-    """A policy that always goes left (or right, by ``bias``)."""
+    """A policy that always goes left (or right, by ``bias``), of a user who has trained it."""
     task = compile_task(load_task(str(own_task(folder, text))), translator="python")
+    remember(task.config.environment)
     width = 7 + task.dfa.states
     weights = {
         "actor.0.weight": np.zeros((2, width), np.float32),
@@ -153,5 +155,20 @@ def test_an_environment_that_draws_nothing_is_named(tmp_path: Path, monkeypatch:
     policy = exported(tmp_path)
     monkeypatch.setattr(own_environments.Corridor, "render", lambda _: None)
     with pytest.raises(WorldError, match="drew NoneType; expected an rgb_array"):
+        record(policy, tmp_path / "film.gif", episodes=1, seed=0, fps=None)
+    assert not (tmp_path / "film.gif").exists()
+
+
+@pytest.mark.parametrize("make", ["always_drawn", "handed_on", "timed"])
+def test_callables_of_every_form_can_be_filmed(make: str, tmp_path: Path) -> None:
+    out = tmp_path / "film.gif"
+    policy = exported(tmp_path, CORRIDOR.replace("Corridor", make))
+    assert record(policy, out, episodes=1, seed=0, fps=5) == 0
+    assert len(imageio.v3.improps(out, index=...).shape) == 4
+
+
+def test_a_callable_that_cannot_draw_is_told_what_to_add(tmp_path: Path) -> None:
+    policy = exported(tmp_path, CORRIDOR.replace("Corridor", "undrawn"))
+    with pytest.raises(WorldError, match=r"undrawn\(\) takes no keyword render_mode.* add .* and pass it on"):
         record(policy, tmp_path / "film.gif", episodes=1, seed=0, fps=None)
     assert not (tmp_path / "film.gif").exists()

@@ -33,6 +33,8 @@ class WorkerCommand:
     """Name of this worker; one that claims again under the same name takes its own place over at once."""
     keys: Path | None = None
     """Folder of this worker's keys, one of those made by `t4nmtd keys`; needed where the coordinator has keys."""
+    trust: bool = False
+    """Import the code that the coordinator's task names, whoever the coordinator is; not needed with --keys."""
     host: str = ""
     """Address on which peers may ask this worker's critics; by default the one on the way to the coordinator."""
     critic_port: int = 0
@@ -100,6 +102,7 @@ def _work(command: WorkerCommand) -> int:
         advertise=command.advertise,
         keys=command.keys,
         insecure=command.insecure,
+        trust=command.trust,
         checkpoints=command.checkpoints,
         checkpoint_every_s=command.checkpoint_every,
         device=command.device,

@@ -10,7 +10,9 @@ from typing import TYPE_CHECKING, Any
 
 from numpy.typing import NDArray
 
+from t4nmtd_dist.config import task_config
 from t4nmtd_dist.devices import Device
+from t4nmtd_dist.environments.trust import require_trust
 from t4nmtd_dist.wire.messages import Granted, LearnerStats, Role, Sync
 
 if TYPE_CHECKING:
@@ -59,6 +61,18 @@ class WaitingLease:
 
         torch.set_num_threads(1)
         return EvaluationSession(self.granted)
+
+
+def check_trust(granted: Granted, coordinator: str, *, given: bool) -> None:
+    """Refuse a task whose environment is code that this user does not trust: without keys, anybody can coordinate.
+
+    Raises:
+        TrustError: if so.
+        ConfigError: if the task cannot be read.
+    """
+    environment = task_config(granted.task, source="coordinator").environment
+    source, otherwise = f"the coordinator at {coordinator}", ", or let coordinator and workers use --keys"
+    require_trust(environment, source, given=given, ask=False, otherwise=otherwise)
 
 
 class Loader:

@@ -39,7 +39,7 @@ from t4nmtd_dist.wire.messages import (
 )
 from t4nmtd_dist.wire.sockets import connect, new_context, receive, send
 from workers.critic_service import CriticService
-from workers.loading import Loader, WaitingLease
+from workers.loading import Loader, WaitingLease, check_trust
 from workers.neighbours import Neighbours
 from workers.state import Action, Ask, Begin, End, Exit, GiveBack, Say, WorkerState
 
@@ -72,6 +72,7 @@ class WorkerOptions:
     advertise: str = ""
     keys: Path | None = None
     insecure: bool = False
+    trust: bool = False
     checkpoints: Path | None = None
     checkpoint_every_s: float = 300.0
     device: Device = "cpu"
@@ -137,7 +138,12 @@ class Worker:
         return CriticService(self._context, endpoint, advertise=told, insecure=options.insecure, own=own, tell=say)
 
     def run(self) -> int:
-        """Work until the run is over (exit code 0), nothing can be done (2), or a signal says stop (130)."""
+        """Work until the run is over (exit code 0), nothing can be done (2), or a signal says stop (130).
+
+        Raises:
+            TrustError: if the coordinator wants code to be run and may be anybody.
+            WorldError: if the task's environment fails.
+        """
         hear_ends(self._interrupt)
         try:
             while self._exit is None and not self._interrupted:
@@ -297,6 +303,8 @@ class Worker:
         if granted.role == "learner":
             self._end_those_of_another_training(granted)
         self._waiting[granted.pid] = WaitingLease(granted, arrays)
+        if self._keys is None:
+            check_trust(granted, self._options.coordinator, given=self._options.trust)
 
     def _end_those_of_another_training(self, granted: Granted) -> None:
         """Learners that outlived their coordinator are of no use to one that trains something else."""

@@ -58,6 +58,8 @@ class Evaluate:
     """Begin each episode with k random actions, k uniform from 0 to this."""
     actions: ActionMode | None = None
     """The most likely actions (greedy) or sampled ones; by default as the policy was evaluated when it was exported."""
+    trust: bool = False
+    """Import the code that the policy names, whoever made it; without this, only what you have run here before."""
     as_json: Annotated[bool, tyro.conf.arg(name="json")] = False
     """Print JSON instead of a sentence."""
 
@@ -72,6 +74,7 @@ class Evaluate:
             perturb=self.perturb,
             as_json=self.as_json,
             actions=self.actions,
+            trust=self.trust,
         )
 
 
@@ -164,12 +167,16 @@ class Record:
     """Seed of the environment's resets."""
     fps: int | None = None
     """Frames a second; by default what the environment says, else 10."""
+    trust: bool = False
+    """Import the code that the policy names, whoever made it; without this, only what you have run here before."""
 
     def run(self) -> int:
         """Record."""
         from t4nmtd_dist.cli.record import record
 
-        return record(self.run_or_policy, self.out, episodes=self.episodes, seed=self.seed, fps=self.fps)
+        return record(
+            self.run_or_policy, self.out, episodes=self.episodes, seed=self.seed, fps=self.fps, trust=self.trust
+        )
 
 
 @dataclass(frozen=True)

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from t4nmtd_dist.action_modes import ActionMode
+from t4nmtd_dist.environments.trust import require_trust
 from t4nmtd_dist.errors import ConfigError
 from t4nmtd_dist.evaluation import EvaluationResult, Evaluator
 from t4nmtd_dist.policy import load
@@ -17,12 +18,24 @@ EPISODES_AT_ONCE = 50
 
 
 def evaluate(
-    path: Path, *, episodes: int, seed: int, perturb: int, as_json: bool, actions: ActionMode | None = None
+    path: Path,
+    *,
+    episodes: int,
+    seed: int,
+    perturb: int,
+    as_json: bool,
+    actions: ActionMode | None = None,
+    trust: bool = False,
 ) -> int:
-    """Run episodes and print what they came to; without ``actions`` they are played as the export says."""
+    """Run episodes and print what they came to; without ``actions`` they are played as the export says.
+
+    Raises:
+        TrustError: if the policy names code that the user does not trust.
+    """
     if episodes < 1 or perturb < 0:
         raise ConfigError(f"expected at least one episode and --perturb of 0 or more; got {episodes} and {perturb}")
     policy = load(path)
+    require_trust(policy.config.environment, f"the policy in {path}", given=trust)
     results: list[EvaluationResult] = []
     for first in range(0, episodes, EPISODES_AT_ONCE):
         evaluator = Evaluator(policy, min(EPISODES_AT_ONCE, episodes - first), seed=seed + first)

@@ -21,6 +21,8 @@ class RunOptions:
     """Seed of networks, exploration and worlds; by default 0."""
     resume: Path | None = None
     """Go on with the stopped run in this folder, under its own settings; --max-interactions may give it more."""
+    trust: bool = False
+    """Import the code that the run to resume names, whoever made it; without this, only what you have run before."""
     checkpoint_every: float = 300.0
     """Seconds between two checkpoints, from which --resume goes on; another is written when the run is stopped."""
     run_dir: Path | None = None

@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from t4nmtd_dist.config import TaskConfig, merge, read_toml, settings_from_flags, task_config
+from t4nmtd_dist.environments.trust import remember_own, require_trust
 from t4nmtd_dist.errors import ConfigError, RunError
 from t4nmtd_dist.runs.directory import default_run_directory
 from t4nmtd_dist.runs.event_files import check_tensorboard
@@ -57,6 +58,7 @@ def plan_run(options: RunOptions, *, serial: bool = False) -> RunPlan:
     Raises:
         ConfigError: if they contradict each other or the run that is to be resumed; see also ``load_task``.
         RunError: if the run cannot be resumed.
+        TrustError: if that run names code that the user does not trust.
     """
     check_tensorboard(options.tensorboard)
     if not options.checkpoint_every > 0:
@@ -69,6 +71,7 @@ def plan_run(options: RunOptions, *, serial: bool = False) -> RunPlan:
     seed = options.seed or 0
     if seed < 0:
         raise ConfigError(f"--seed {seed}: expected 0 or more")
+    remember_own(config.environment)
     directory = options.run_dir or default_run_directory(config.name, seed)
     return RunPlan(config, seed, directory, new_identity(serial=serial))
 
@@ -89,6 +92,7 @@ def _resumed(options: RunOptions, run: Path, serial: bool) -> RunPlan:
             f"the run in {run} has spent its budget of {stopped.config.max_interactions} interactions; give it more "
             "with --max-interactions"
         )
+    require_trust(config.environment, f"the run in {run}", given=options.trust)
     return RunPlan(config, stopped.seed, stopped.path, stopped.identity, stopped)
 
 

@@ -19,20 +19,23 @@ USUAL_FPS = 10
 LAST_FRAME_S = 1.0
 
 
-def record(path: Path, out: Path, *, episodes: int, seed: int, fps: int | None) -> int:
+def record(path: Path, out: Path, *, episodes: int, seed: int, fps: int | None, trust: bool = False) -> int:
     """Film episodes of the policy in ``path`` into ``out``; the exit code.
 
     Raises:
         ConfigError: if the file's format is unknown or a package for it is missing.
+        TrustError: if the policy names code that the user does not trust.
         WorldError: if the environment draws no pictures.
     """
     _check_format(out)
     if episodes < 1 or (fps is not None and fps < 1):
         raise ConfigError(f"expected at least one episode and --fps of at least 1; got {episodes} and {fps}")
+    from t4nmtd_dist.environments.trust import require_trust
     from t4nmtd_dist.policy import load
     from t4nmtd_dist.recording import open_for_recording
 
     policy = load(path)
+    require_trust(policy.config.environment, f"the policy in {path}", given=trust)
     copy = open_for_recording(policy)
     rate = fps or int(copy.env.metadata.get("render_fps") or USUAL_FPS)
     with _writer(out, rate) as film:

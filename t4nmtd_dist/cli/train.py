@@ -110,7 +110,7 @@ def _coordinator_arguments(options: RunOptions) -> list[str]:
     arguments = ["--translator", options.translator, "--tensorboard", options.tensorboard]
     arguments += ["--checkpoint-every", str(options.checkpoint_every)]
     if options.resume is not None:
-        arguments += ["--resume", str(options.resume)]
+        arguments += ["--resume", str(options.resume), "--trust"]  # plan_run has asked already
     if options.task:
         arguments += ["--task", options.task]
     if options.seed is not None:

@@ -9,10 +9,11 @@ import msgpack
 import numpy as np
 from numpy.typing import NDArray
 
-from t4nmtd_dist.environments.attribute_state import CannotRestoreError, pack, restored
+from t4nmtd_dist.environments.attribute_state import pack, restored
 from t4nmtd_dist.environments.observations import Flattener, Vector
 from t4nmtd_dist.environments.packing import padded, throw_new_dice, unpadded
-from t4nmtd_dist.errors import WorldError
+from t4nmtd_dist.environments.user_errors import call_user
+from t4nmtd_dist.errors import T4NMTDError, WorldError
 from t4nmtd_dist.runs.state_tree import State
 
 _DICE = ("_np_random", "_np_random_seed")
@@ -88,7 +89,7 @@ class AttributeState:
             wanted = {key: code for key, code in {**self._fresh, **changed}.items() if key not in gone}
             self._observation = np.frombuffer(observation, np.float32).reshape(self._flattener.size)
             self._restore(wanted)
-        except CannotRestoreError:
+        except T4NMTDError:
             raise
         except (ValueError, TypeError, KeyError, IndexError, AttributeError) as error:
             raise WorldError(f"no snapshot of {self._env}: {type(error).__name__}: {error}") from None
@@ -114,7 +115,7 @@ class AttributeState:
 
     def _restore(self, wanted: dict[str, bytes]) -> None:
         if self._own is not None:
-            self._own.set_state(restored(wanted[_OWN], None))
+            call_user(f"environment {self._env}", "set_state()", self._own.set_state, restored(wanted[_OWN], None))
         attributes = self._attributes()
         for key in [key for key in attributes if key not in wanted]:
             held, name = attributes[key]

@@ -15,6 +15,7 @@ from t4nmtd_dist.environments.observations import Vector, flattener
 from t4nmtd_dist.environments.opening import open_environment
 from t4nmtd_dist.environments.packing import dice_state, set_dice_state
 from t4nmtd_dist.environments.snapshots import make_snapshots
+from t4nmtd_dist.environments.user_errors import call_user
 from t4nmtd_dist.errors import WorldError
 from t4nmtd_dist.runs.state_tree import State
 
@@ -44,6 +45,7 @@ class EnvironmentCopy:
     def __init__(
         self, config: EnvironmentConfig, propositions: Sequence[str], *, render_mode: str | None = None
     ) -> None:
+        self._who = f"environment {config.id!r}"
         self.env: Any = open_environment(config, render_mode=render_mode)
         flat = flattener(self.env.observation_space, config.leave_out)
         self.observation_size, self.categorical, self.parts = flat.size, flat.categorical, flat.parts
@@ -53,7 +55,10 @@ class EnvironmentCopy:
         self.propositions = self._labels.propositions
         self._flatten = flat.flatten
         adapter = "own" if config.snapshots == "auto" else config.snapshots
-        self._snapshots = make_snapshots(self.env, adapter, flat, room=config.snapshot_bytes, horizon=config.horizon)
+        room, horizon = config.snapshot_bytes, config.horizon
+        self._snapshots = call_user(
+            self._who, "reset() or get_state()", make_snapshots, self.env, adapter, flat, room, horizon
+        )
 
     @property
     def replayed(self) -> int:
@@ -62,12 +67,12 @@ class EnvironmentCopy:
 
     def reset(self, seed: int | None) -> Vector:
         """Begin an episode; its first observation."""
-        return self._flatten(self._snapshots.reset(seed))
+        return self._flatten(call_user(self._who, "reset()", self._snapshots.reset, seed))
 
     def step(self, action: Any) -> CopyStep:
         """Act once."""
         action = self._action(action)
-        seen, _, terminated, truncated, info = self.env.step(action)
+        seen, _, terminated, truncated, info = call_user(self._who, "step()", self.env.step, action)
         observation = self._flatten(seen)
         cut = self._snapshots.acted(action, observation)
         return CopyStep(observation, self._labels.row(seen, info), bool(terminated), bool(truncated) or cut)
@@ -78,7 +83,7 @@ class EnvironmentCopy:
 
     def get_state(self) -> NDArray[Any]:
         """A snapshot."""
-        return self._snapshots.get()
+        return call_user(self._who, "get_state()", self._snapshots.get)
 
     def set_state(self, state: NDArray[Any]) -> Vector:
         """Restore a snapshot; the observation there.
@@ -86,7 +91,11 @@ class EnvironmentCopy:
         Raises:
             WorldError: if it is no snapshot of this environment.
         """
-        return self._snapshots.set(state)
+        return call_user(self._who, "set_state()", self._snapshots.set, state)
+
+    def render(self) -> Any:
+        """What the environment draws."""
+        return call_user(self._who, "render()", self.env.render)
 
     def throw_new_dice(self, seed: int) -> None:
         """Let the environment's own chance take another course from here."""

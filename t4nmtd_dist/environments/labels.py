@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from t4nmtd_dist.config import EnvironmentConfig
 from t4nmtd_dist.environments.opening import import_function
+from t4nmtd_dist.environments.user_errors import described
 from t4nmtd_dist.errors import WorldError
 
 REPORTED = "info['labels']"
@@ -82,7 +83,7 @@ class LabelReader:
         try:
             return self._function(observation, info)
         except Exception as error:  # whatever a user's function may raise
-            raise WorldError(f"labelling function {self.source} raised {type(error).__name__}: {error}") from error
+            raise WorldError(f"labelling function {self.source} raised {described(error)}") from error
 
     @property
     def _declared(self) -> str:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import copy
 import dataclasses
+import inspect
 from collections.abc import Callable
 from pathlib import Path
 from types import ModuleType
@@ -12,7 +13,9 @@ from typing import Any
 import gymnasium as gym
 
 from t4nmtd_dist.config import EnvironmentConfig
+from t4nmtd_dist.environments.named_code import code_named
 from t4nmtd_dist.environments.task_modules import OUR_WORLDS, explained, import_task_module
+from t4nmtd_dist.environments.user_errors import calls, described
 from t4nmtd_dist.errors import WorldError
 
 Env = gym.Env[Any, Any]
@@ -28,18 +31,34 @@ def open_environment(config: EnvironmentConfig, *, render_mode: str | None = Non
 
     Args:
         config: the section ``[environment]``.
-        render_mode: passed on to the environment's constructor or to the callable.
+        render_mode: passed on to the environment's constructor, or to the callable if it takes that keyword.
 
     Raises:
-        WorldError: if the environment is unknown, cannot be imported, or refuses its options.
+        WorldError: if the environment is unknown, cannot be imported, refuses its options, or cannot be drawn.
     """
-    options = {**config.options, **({"render_mode": render_mode} if render_mode else {})}
     spec = find_spec(config)
     maker: Callable[..., Any] = _callable(config) if spec is None else _plain(spec)
+    passed_on = render_mode is not None and _takes_render_mode(maker)
+    options = {**config.options, **({"render_mode": render_mode} if passed_on else {})}
     env = _called(config, options, maker)
     if not isinstance(env, gym.Env):
         raise WorldError(f"environment {config.id!r} made {type(env).__name__}; expected a gymnasium.Env")
+    if render_mode is not None and not passed_on and env.render_mode != render_mode:
+        raise WorldError(
+            f"environment {config.id!r} cannot be drawn: {config.id.rpartition(':')[2]}() takes no keyword "
+            "render_mode; add render_mode=None to its parameters and pass it on to the environment that it makes, or "
+            f"let it make that with render_mode={render_mode!r}"
+        )
     return env
+
+
+def _takes_render_mode(maker: Callable[..., Any]) -> bool:
+    """Whether a callable takes the keyword; assumed where Python does not know its parameters."""
+    try:
+        parameters = inspect.signature(maker).parameters
+    except (TypeError, ValueError):
+        return True
+    return "render_mode" in parameters or any(p.kind is p.VAR_KEYWORD for p in parameters.values())
 
 
 def find_spec(config: EnvironmentConfig) -> Spec | None:
@@ -83,29 +102,36 @@ def import_function(text: str, config: EnvironmentConfig, key: str) -> Callable[
 
 
 def import_module(name: str, config: EnvironmentConfig) -> ModuleType:
-    """Import a module, looking into the task file's folder first, as Python does for a script.
+    """Import a module, looking into the task's folders first, as Python does for a script.
+
+    The folders are left out where everything that the task names is part of the package or installed: a folder that
+    came with a stranger's policy must not shadow installed modules.
 
     Raises:
         WorldError: if it cannot be imported; the text says where it was searched for.
     """
+    folders = config.folders if code_named(config) else ()
     try:
-        return import_task_module(name, config.path)
+        return import_task_module(name, folders)
     except ModuleNotFoundError as error:
         if error.name is None or not f"{name}.".startswith(f"{error.name}."):
-            more = explained(error, config.path)
-            raise WorldError(f"importing {name!r} for environment {config.id!r}: {error}{more}") from None
+            more = explained(error, folders)
+            raise WorldError(f"importing {name!r} for environment {config.id!r}: {described(error)}{more}") from None
         raise WorldError(f"environment {config.id!r}: no module {name!r}{_searched(config)}") from None
     except Exception as error:  # whatever a user's module may raise
-        more = explained(error, config.path) if isinstance(error, ImportError) else ""
-        raise WorldError(f"importing {name!r} for environment {config.id!r}: {_described(error)}{more}") from error
+        more = explained(error, folders) if isinstance(error, ImportError) else ""
+        raise WorldError(f"importing {name!r} for environment {config.id!r}: {described(error)}{more}") from error
 
 
 def _searched(config: EnvironmentConfig) -> str:
-    if not config.path:
+    if not config.folders:
         return "; is it installed?"
-    lacking = "" if Path(config.path).is_dir() else ", which is no folder on this machine"
+    searched = [
+        folder if Path(folder).is_dir() else f"{folder}, which is no folder on this machine"
+        for folder in config.folders
+    ]
     return (
-        f" in {config.path}{lacking}, nor among what is installed; on another machine, install it there or "
+        f" in {', nor in '.join(searched)}, nor among what is installed; on another machine, install it there or "
         f"start the worker with PYTHONPATH set to its folder"
     )
 
@@ -135,12 +161,8 @@ def _called(config: EnvironmentConfig, options: dict[str, Any], maker: Callable[
     try:
         return maker(**options)
     except (TypeError, ValueError) as error:
-        raise WorldError(f"environment {config.id!r} refused its options {options}: {error}") from None
+        raise WorldError(f"environment {config.id!r} refused its options {options}: {error}{calls(error)}") from None
     except (gym.error.Error, ImportError) as error:
-        raise WorldError(f"environment {config.id!r}: {error}") from None
+        raise WorldError(f"environment {config.id!r}: {error}{calls(error)}") from None
     except Exception as error:  # whatever a user's code may raise
-        raise WorldError(f"making environment {config.id!r} with {options}: {_described(error)}") from error
-
-
-def _described(error: Exception) -> str:
-    return f"{type(error).__name__}: {error}"
+        raise WorldError(f"making environment {config.id!r} with {options}: {described(error)}") from error

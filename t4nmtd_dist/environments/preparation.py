@@ -8,6 +8,7 @@ import numpy as np
 
 from t4nmtd_dist.compiled import CompiledTask
 from t4nmtd_dist.config import EnvironmentConfig, TaskConfig
+from t4nmtd_dist.environments.user_errors import described
 from t4nmtd_dist.errors import T4NMTDError, WorldError
 from t4nmtd_dist.tasks import is_bundled, load_task
 
@@ -38,8 +39,7 @@ def prepared(task: CompiledTask) -> CompiledTask:
     except T4NMTDError:
         raise
     except Exception as error:  # whatever a user's environment may raise
-        text = f"environment {task.config.environment.id!r} raised {type(error).__name__}: {error}"
-        raise WorldError(text) from error
+        raise WorldError(f"environment {task.config.environment.id!r} raised {described(error)}") from error
 
 
 def _asks_for_more(config: TaskConfig) -> bool:

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from t4nmtd_dist.config import EnvironmentConfig
 from t4nmtd_dist.environments.copies import CopyStep, EnvironmentCopy
 from t4nmtd_dist.environments.opening import Env, open_environment
+from t4nmtd_dist.environments.restoring_words import difference, refusal
 from t4nmtd_dist.environments.snapshots import ADAPTERS, Adapter, has_own_state, is_mujoco, keeps_contract
 from t4nmtd_dist.errors import WorldError
 
@@ -66,13 +67,12 @@ def choose_snapshots(config: EnvironmentConfig, propositions: Sequence[str], *, 
         try:
             room = check_restoring(dataclasses.replace(config, snapshots=adapter), propositions, trials=trials)
         except InexactError as error:
+            if config.snapshots != "auto" and type(error.__cause__) is WorldError:
+                raise error.__cause__ from None  # it failed in the user's code, and says where
             failures[adapter] = str(error)
         else:
             return Choice(adapter, room, failures)
-    told = "; ".join(f"{adapter}: {reason}" for adapter, reason in failures.items())
-    raise WorldError(
-        f"environment {config.id!r} cannot be put back into an earlier state, as sub-tasks need to hand over ({told})"
-    )
+    raise WorldError(refusal(config.id, failures))
 
 
 def _candidates(env: Env) -> tuple[Adapter, ...]:
@@ -114,12 +114,12 @@ def _trial(first: EnvironmentCopy, second: EnvironmentCopy, trial: int) -> int:
     before = [first.action_space.sample() for _ in range(STEPS_COMPARED)]
     expected = _course(first, before, trial)
     _walk(second, 1000 + trial, 3)
-    for copy, where in ((second, "another copy"), (first, "the same copy")):
+    for copy, where in ((second, "into another copy"), (first, "into the same copy")):
         observation = _guarded(copy.set_state, state)
-        _compare("observation", observation, seen, 0, where)
+        _compare(difference("observation", observation, seen, copy.propositions), 0, where)
         for t, (now, then) in enumerate(zip(_course(copy, before, trial), expected, strict=False), start=1):
             for name in ("observation", "labels", "terminated", "truncated"):
-                _compare(name, getattr(now, name), getattr(then, name), t, where)
+                _compare(difference(name, getattr(now, name), getattr(then, name), copy.propositions), t, where)
     return int(state.nbytes)
 
 
@@ -150,11 +150,11 @@ def _course(copy: EnvironmentCopy, actions: Sequence[Any], dice: int) -> list[Co
 def _guarded(function: Any, *arguments: Any) -> Any:
     try:
         return function(*arguments)
-    except Exception as error:  # whatever a user's environment may raise
-        raise InexactError(f"{type(error).__name__}: {error}") from error
+    except WorldError as error:
+        raise InexactError(str(error)) from error
 
 
-def _compare(name: str, now: Any, then: Any, t: int, where: str) -> None:
-    if not np.array_equal(now, then, equal_nan=True):
-        when = "right after restoring" if t == 0 else f"{t} steps after restoring"
-        raise InexactError(f"another {name} {when} in {where}")
+def _compare(found: str | None, t: int, where: str) -> None:
+    if found is not None:
+        when = "right after restoring" if t == 0 else f"after {t} step{'s' if t > 1 else ''}"
+        raise InexactError(f"restored {where}, {when}, {found}")

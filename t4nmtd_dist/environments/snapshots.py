@@ -16,6 +16,7 @@ from t4nmtd_dist.environments.attribute_snapshots import AttributeState, own_lay
 from t4nmtd_dist.environments.observations import Flattener, Vector
 from t4nmtd_dist.environments.opening import Env
 from t4nmtd_dist.environments.replay import Replay
+from t4nmtd_dist.environments.user_errors import calls
 from t4nmtd_dist.errors import WorldError
 from t4nmtd_dist.runs.state_tree import State
 
@@ -66,7 +67,7 @@ def is_mujoco(env: Env) -> bool:
     return hasattr(env.unwrapped, "model") and type(data).__module__.startswith("mujoco")
 
 
-def make_snapshots(env: Env, adapter: Adapter, flattener: Flattener, *, room: int, horizon: int) -> Snapshots:
+def make_snapshots(env: Env, adapter: Adapter, flattener: Flattener, room: int, horizon: int) -> Snapshots:
     """The adapter of a name.
 
     Args:
@@ -115,7 +116,7 @@ class Contract:
         try:
             return self._flattener.flatten(self._env.set_state(state))
         except ValueError as error:
-            raise WorldError(f"{self._env}: {error}") from None
+            raise WorldError(f"{self._env}: {error}{calls(error)}") from None
 
     def throw_new_dice(self, seed: int) -> None:
         """Leave them as they are."""

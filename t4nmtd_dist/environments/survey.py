@@ -16,6 +16,7 @@ from t4nmtd_dist.environments.exclusive import Suggestion, suggestions
 from t4nmtd_dist.environments.observation_range import ObservationRange
 from t4nmtd_dist.environments.preparation import check_fit, slowness
 from t4nmtd_dist.environments.restoring import Choice, choose_snapshots, chosen
+from t4nmtd_dist.environments.user_errors import described
 from t4nmtd_dist.errors import T4NMTDError, WorldError
 from t4nmtd_dist.tasks import is_packages_environment
 from t4nmtd_dist.timed_world import ends_episode
@@ -103,7 +104,7 @@ def survey(task: CompiledTask, *, steps: int, seed: int) -> Survey:
     except T4NMTDError:
         raise
     except Exception as error:  # whatever a user's environment may raise
-        raise WorldError(f"environment {config.environment.id!r} raised {type(error).__name__}: {error}") from error
+        raise WorldError(f"environment {config.environment.id!r} raised {described(error)}") from error
     _judge(task, found)
     found.suggestions = suggestions(task, found.seen)
     return found

@@ -11,6 +11,7 @@ import importlib
 import importlib.util
 import os
 import sys
+from collections.abc import Sequence
 from hashlib import sha256
 from importlib.machinery import ModuleSpec, PathFinder
 from types import ModuleType
@@ -21,37 +22,48 @@ OURS = ("t4nmtd_dist", "coordinator", "workers", "envs")
 OUR_WORLDS = "envs:t4nmtd/"  # ids that begin so mean our worlds, whatever else is called envs
 
 
-def import_task_module(name: str, folder: str) -> ModuleType:
+def import_task_module(name: str, folders: Sequence[str]) -> ModuleType:
     """Import a module that a task names; a second import gives the same object.
 
     Args:
         name: dotted name.
-        folder: where the task's own modules are; "" if it has none.
+        folders: where the task's own modules are, in the order in which they are searched.
 
     Raises:
         Exception: whatever importing it raises.
     """
-    if not folder:
+    if not folders:
         return importlib.import_module(name)
     for ours in OURS:  # once they are imported, nothing on the path can hide them
         importlib.import_module(ours)
-    if folder not in sys.path:
-        sys.path.insert(0, folder)
+    sys.path[:0] = [folder for folder in folders if folder not in sys.path]
     known = set(gym.registry)
-    module = importlib.import_module(_private(name, folder) if _is_hidden(name, folder) else name)
-    _redirect(set(gym.registry) - known, folder)
+    module = importlib.import_module(_importable(name, folders))
+    _redirect(set(gym.registry) - known, folders)
     return module
 
 
-def explained(error: ImportError, folder: str) -> str:
+def explained(error: ImportError, folders: Sequence[str]) -> str:
     """More about a failed import, if one of our packages answered in place of the user's; else ""."""
     top = (error.name or "").partition(".")[0]
-    if top not in OURS or not folder or PathFinder.find_spec(top, [folder]) is None:
+    folder = _folder_of(top, folders) if top in OURS else None
+    if folder is None:
         return ""
     return (
         f"; {top} is a package of t4nmtd-dist here, not the one in {folder}: rename yours, or let the task file name "
         f"its modules ({top}.module:make) and let these import each other relatively (from . import ...)"
     )
+
+
+def _folder_of(top: str, folders: Sequence[str]) -> str | None:
+    """The first folder that has a module or package of this name."""
+    return next((folder for folder in folders if PathFinder.find_spec(top, [folder]) is not None), None)
+
+
+def _importable(name: str, folders: Sequence[str]) -> str:
+    """The name under which Python finds the module of the first folder that has it."""
+    folder = _folder_of(name.partition(".")[0], folders)
+    return _private(name, folder) if folder is not None and _is_hidden(name, folder) else name
 
 
 def _is_hidden(name: str, folder: str) -> bool:
@@ -83,10 +95,9 @@ def _private(name: str, folder: str) -> str:
     return f"{parent}.{name}"
 
 
-def _redirect(registered: set[str], folder: str) -> None:
-    """Let new registrations find entry points in modules of the folder whose names are taken."""
+def _redirect(registered: set[str], folders: Sequence[str]) -> None:
+    """Let new registrations find entry points in modules of the folders whose names are taken."""
     for spec in (gym.registry[name] for name in registered):
         if isinstance(spec.entry_point, str):
             module, colon, attribute = spec.entry_point.partition(":")
-            if _is_hidden(module, folder):
-                spec.entry_point = f"{_private(module, folder)}{colon}{attribute}"
+            spec.entry_point = f"{_importable(module, folders)}{colon}{attribute}"

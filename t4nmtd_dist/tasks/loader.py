@@ -49,8 +49,10 @@ def is_packages_environment(environment: EnvironmentConfig) -> bool:
 
 
 def _with_path(task: TaskConfig, folder: Path) -> TaskConfig:
-    """A user's modules are looked for beside the task file; a relative ``path`` counts from there."""
-    path = str((folder / task.environment.path).resolve())
+    """The task with absolute folders for its modules: the task file's own, then those of ``environment.path``."""
+    listed = [folder, *(folder / further for further in task.environment.folders)]
+    absolute = tuple(dict.fromkeys(str(path.resolve()) for path in listed))
+    path = absolute if len(absolute) > 1 else absolute[0]
     return dataclasses.replace(task, environment=dataclasses.replace(task.environment, path=path))
 
 
