@@ -58,6 +58,7 @@ def _page(status: Status) -> str:
         f"last evaluation: {success}, perfect in a row: {status.solved_in_a_row} of {status.solved_needed}",
         *(_learner(row) for row in status.learners),
         f"evaluator: {status.evaluator or 'none'}",
+        *(lack.text for lack in status.missing),
     ]
     return "\n".join(lines)
 

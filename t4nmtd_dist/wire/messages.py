@@ -295,6 +295,13 @@ class Missing(Message, frozen=True):
     command: str
     needed: bool = True
 
+    @property
+    def text(self) -> str:
+        """The same for people."""
+        if self.needed:
+            return f"missing {self.what}: {self.command}"
+        return f"no {self.what}: workers evaluate between their turns; faster: {self.command}"
+
 
 class Status(Message, frozen=True, tag="status"):
     """Coordinator -> who asked. ``clock`` is in seconds of Unix time."""
