@@ -9,6 +9,7 @@ from pathlib import Path
 import msgspec
 
 from t4nmtd_dist.errors import ProtocolError, RunError
+from t4nmtd_dist.runs.running import RunOverError
 from t4nmtd_dist.wire.inquiry import ask_status
 from t4nmtd_dist.wire.keys import load_client
 from t4nmtd_dist.wire.messages import LearnerRow, Status
@@ -48,6 +49,15 @@ def show_status(endpoint: str, keys: Path | None, wait_s: float, *, check: bool,
     elif not check:
         print(_page(status))
     return HEALTHY
+
+
+def tell_ending(over: RunOverError, *, for_people: bool) -> int:
+    """Say how the run ended that was asked for: to people on standard output, to programs beside it."""
+    if for_people:
+        print(over)
+    else:
+        print(f"t4nmtd status: {over}", file=sys.stderr)
+    return SICK
 
 
 def _page(status: Status) -> str:
