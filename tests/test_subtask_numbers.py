@@ -132,7 +132,7 @@ def lacks(talk: Conversation) -> list[str]:
     return [lack.text for lack in missing(talk.state, commands(talk))]
 
 
-EVALUATOR = "no evaluator: workers evaluate between their turns; faster: t4nmtd-worker --evaluate"
+EVALUATOR = "no evaluator: t4nmtd-worker --evaluate (until then workers evaluate between their turns)"
 
 
 def test_what_is_missing_is_named_with_its_command_until_it_comes_and_when_it_is_lost() -> None:

@@ -55,8 +55,7 @@ class EvaluationWork:
             return
         if message.job:
             self._steps, self._processor_s = self._session.steps(envelope), 0.0
-        else:
-            self._poll_due = self._clock() + POLL_S
+        self._poll_due = self._clock() + (BUSY_S if message.job else POLL_S)
 
     def tell(self) -> None:
         """Ask for a job, or give a sign of life while busy with one, if either is due."""

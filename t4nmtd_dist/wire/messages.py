@@ -300,7 +300,7 @@ class Missing(Message, frozen=True):
         """The same for people."""
         if self.needed:
             return f"missing {self.what}: {self.command}"
-        return f"no {self.what}: workers evaluate between their turns; faster: {self.command}"
+        return f"no {self.what}: {self.command} (until then workers evaluate between their turns)"
 
 
 class Status(Message, frozen=True, tag="status"):
