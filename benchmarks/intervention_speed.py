@@ -59,6 +59,7 @@ STARTS = 50
 WARM_UPDATES = 100
 START_S = 600.0
 BUDGET = 10**12
+NO_EVALUATIONS = f"evaluation.every={BUDGET}"  # which workers would do between their turns
 LOOPBACK = "tcp://127.0.0.1:*"
 SELDOM = ("--checkpoint-every", "1e9")
 ANSWER_S = 60.0
@@ -137,7 +138,7 @@ class Run:
         self.inquiry.agree(ANSWER_S)
 
     def _fresh(self) -> list[str]:
-        settings = [f"learner.intervention={self.mode.intervention}", *self.flags]
+        settings = [f"learner.intervention={self.mode.intervention}", NO_EVALUATIONS, *self.flags]
         flags = [part for flag in settings for part in ("--set", flag)]
         return [sys.executable, __file__, "--serve", str(self.folder), *flags]
 
@@ -148,6 +149,7 @@ class Run:
         (run / ENDPOINTS_FILE).unlink(missing_ok=True)
         settings = tomllib.loads((run / CONFIG_FILE).read_text(encoding="utf-8"))
         settings["learner"]["intervention"] = self.mode.intervention
+        settings["evaluation"]["every"] = BUDGET
         (run / CONFIG_FILE).write_text(tomli_w.dumps(settings), encoding="utf-8")
         command = [*role("coordinator"), "--resume", str(run), "--no-dashboard", *SELDOM]
         command += ["--bind", LOOPBACK, "--publish", LOOPBACK, "--lease", "1e9"]

@@ -95,7 +95,10 @@ def _serve(command: CoordinatorCommand) -> int:
         resume=plan.resumes,
         checkpoint_every_s=command.checkpoint_every,
         tensorboard=command.tensorboard,
+        by_hand=command.lifeline is None,
     )
+    if service.commands is not None and not command.no_dashboard:
+        print(service.commands.welcome(config.name), flush=True)
 
     def stop(number: int, _: FrameType | None) -> None:
         service.interrupt(signal.Signals(number).name)

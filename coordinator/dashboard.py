@@ -57,6 +57,7 @@ class _Plan:
 
     framed: bool
     with_formula: bool
+    lacks: int
     header: int
     learners: int
     middle: int
@@ -72,7 +73,8 @@ def _plan(state: DashboardState, width: int, height: int) -> _Plan:
     framed = width >= ROOMY[0] and height >= ROOMY[1]
     frame = 2 if framed else 1
     with_formula = height - len(state.learners) >= 24
-    header = frame + (4 if with_formula else 3)
+    lacks = min(len(state.missing), max(0, height - len(state.learners) - 10) // 3)
+    header = frame + (4 if with_formula else 3) + lacks
     learners = min(len(state.learners) + 1 + frame, height - header)
     rest = height - header - learners
     least_events = frame + 2 if rest >= 11 else frame + 1 if rest >= 9 else 0
@@ -80,8 +82,8 @@ def _plan(state: DashboardState, width: int, height: int) -> _Plan:
     wanted = max(known + 1, 5, min(15, rest // 2 - frame)) + frame
     middle = min(wanted, rest - max(least_events, rest // 7 if least_events else 0))
     if middle < frame + 2:
-        return _Plan(framed, with_formula, header, height - header, 0, 0)
-    return _Plan(framed, with_formula, header, learners, middle, rest - middle)
+        return _Plan(framed, with_formula, lacks, header, height - header, 0, 0)
+    return _Plan(framed, with_formula, lacks, header, learners, middle, rest - middle)
 
 
 def _section(title: str, body: RenderableType, framed: bool) -> RenderableType:
@@ -115,7 +117,7 @@ def render(state: DashboardState, *, width: int, height: int) -> RenderableType:
     plan = _plan(state, width, height)
     inner = width - (4 if plan.framed else 0)
     name = f"{state.task}: {state.title}"
-    header = panels.header(state, inner, plan.with_formula)
+    header = panels.header(state, inner, plan.with_formula, plan.lacks)
     learners = tables.learners(state, inner, plan.learners - plan.frame - 1)
     events = panels.events(state, plan.events - plan.frame)
     page = Layout()
@@ -159,6 +161,7 @@ def plain_line(state: DashboardState) -> str:
     lost = _lost(state)
     if lost:
         parts.append(f"LOST {', '.join(sorted(lost))}")
+    parts += [lack.text for lack in state.missing]
     return clean(" | ".join(part for part in parts if part))
 
 

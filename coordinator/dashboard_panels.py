@@ -43,13 +43,24 @@ def budget_left_s(state: DashboardState) -> float | None:
     return max(0, state.max_interactions - state.interactions) / speed
 
 
-def header(state: DashboardState, width: int, with_formula: bool) -> RenderableType:
-    """Phase, time, budget and the way to five full evaluations: three lines, a fourth with the formula."""
+def header(state: DashboardState, width: int, with_formula: bool, lacks: int = 0) -> RenderableType:
+    """Phase, time, budget and the way to five full evaluations: three lines, a fourth with the formula.
+
+    Below them what is missing, in up to ``lacks`` lines.
+    """
     lines: list[RenderableType] = [_status_line(state), _budget_line(state, width), _solved_line(state)]
     if with_formula:
         until = " (until the end of the episode)" if state.acceptance == "end" else ""
         lines.append(line(f"formula{until} {state.formula}", "dim"))
-    return Group(*lines)
+    return Group(*lines, *missing(state, lacks))
+
+
+def missing(state: DashboardState, rows: int) -> list[Text]:
+    """What is missing, each with the command that brings it, in at most so many lines; what is needed comes first."""
+    lines = [line(lack.text, "bold yellow" if lack.needed else "dim") for lack in state.missing]
+    if len(lines) <= rows:
+        return lines
+    return [*lines[: rows - 1], line(f"and {len(lines) - rows + 1} more", "dim")] if rows > 0 else []
 
 
 def _status_line(state: DashboardState) -> Text:

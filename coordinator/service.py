@@ -16,6 +16,7 @@ from coordinator.keeping import StateKeeper, go_on
 from coordinator.recorder import Recorder
 from coordinator.snapshot import dashboard_state, status
 from coordinator.state import CoordinatorState
+from coordinator.worker_commands import WorkerCommands
 from t4nmtd_dist.errors import ProtocolError
 from t4nmtd_dist.runs.directory import RunDirectory
 from t4nmtd_dist.runs.event_files import TensorBoard
@@ -41,6 +42,7 @@ class CoordinatorService:
         resume: go on with the run that the directory holds; ``state`` must be fresh and of that run.
         checkpoint_every_s: seconds between two checkpoints.
         tensorboard: whether to write event files for TensorBoard, too.
+        by_hand: whether people start the workers, who want to be told the commands.
 
     Raises:
         ConfigError: if an endpoint cannot be used.
@@ -58,6 +60,7 @@ class CoordinatorService:
         resume: bool = False,
         checkpoint_every_s: float = CHECKPOINT_EVERY_S,
         tensorboard: TensorBoard = "off",
+        by_hand: bool = False,
     ) -> None:
         self.state = state
         with ExitStack() as undo:
@@ -68,6 +71,8 @@ class CoordinatorService:
             undo.pop_all()
         self.control, self.publish = self._doors.control, self._doors.publish
         self.own_keys = self._doors.own_keys
+        pids = state.task.decomposition.pids
+        self.commands = WorkerCommands(pids, self.control, access.keys) if by_hand else None
         self._run = run
         self._said: SimpleQueue[str] = SimpleQueue()
         resumed = self._go_on() if resume else ""
@@ -159,7 +164,9 @@ class CoordinatorService:
         if isinstance(content, ProtocolError):
             self._doors.answer(peer, Envelope(Failure(text=str(content))))
         elif isinstance(content.message, StatusRequest):
-            self._doors.answer(peer, Envelope(status(self.state, time.time()), {}, "coordinator", content.id))
+            self._doors.answer(
+                peer, Envelope(status(self.state, time.time(), self.commands), {}, "coordinator", content.id)
+            )
         else:
             self._feed(Received(time.monotonic(), peer, content, arrival.key))
 
@@ -179,4 +186,4 @@ class CoordinatorService:
         if now < self._publish_due:
             return
         self._publish_due = now + PUBLISH_S
-        self._doors.broadcast(Envelope(dashboard_state(self.state), {}, "coordinator"))
+        self._doors.broadcast(Envelope(dashboard_state(self.state, self.commands), {}, "coordinator"))

@@ -8,6 +8,7 @@ from typing import Any
 from coordinator.records import LearnerRecord, add_interventions
 from coordinator.state import CoordinatorState
 from coordinator.stuck import stuck_lines
+from coordinator.worker_commands import WorkerCommands
 from t4nmtd_dist import __version__
 from t4nmtd_dist.wire.messages import (
     DashboardState,
@@ -15,6 +16,7 @@ from t4nmtd_dist.wire.messages import (
     Intervention,
     LearnerPhase,
     LearnerRow,
+    Missing,
     QCell,
     Status,
 )
@@ -22,8 +24,8 @@ from t4nmtd_dist.wire.messages import (
 EVALUATIONS_SHOWN = 200
 
 
-def dashboard_state(state: CoordinatorState) -> DashboardState:
-    """Everything a dashboard draws."""
+def dashboard_state(state: CoordinatorState, commands: WorkerCommands | None = None) -> DashboardState:
+    """Everything a dashboard draws; ``commands`` bring what is missing, None where a launcher does that."""
     task = state.task
     return DashboardState(
         task=task.config.name,
@@ -49,13 +51,14 @@ def dashboard_state(state: CoordinatorState) -> DashboardState:
         success_needed=state.task.config.evaluation.success,
         solved_at=state.evaluations.solved_at,
         policy=_kept(state),
+        missing=missing(state, commands),
     )
 
 
-def status(state: CoordinatorState, clock: float) -> Status:
-    """The answer to ``t4nmtd status``; ``clock`` in seconds of Unix time."""
+def status(state: CoordinatorState, clock: float, commands: WorkerCommands | None = None) -> Status:
+    """The answer to ``t4nmtd status``; ``clock`` in seconds of Unix time, ``commands`` as above."""
     history = state.evaluations.history
-    evaluators = state.evaluator_lease.holders(state.now)
+    evaluator = state.stand_ins.evaluator(state.now)
     return Status(
         program=__version__,
         clock=clock,
@@ -69,18 +72,30 @@ def status(state: CoordinatorState, clock: float) -> Status:
         success_rate=history[-1].success_rate if history else None,
         solved_in_a_row=state.evaluations.in_a_row,
         solved_needed=state.task.config.evaluation.in_a_row,
-        evaluator=evaluators[0].instance if evaluators else "",
+        evaluator=evaluator.instance if evaluator else "",
         learners=[_learner_row(state, pid, record) for pid, record in state.records.items()],
         critics={lease.place: lease.endpoint for lease in state.leases.holders(state.now)},
         success_needed=state.task.config.evaluation.success,
         solved_at=state.evaluations.solved_at,
         policy=_kept(state),
+        missing=missing(state, commands),
     )
 
 
 def _kept(state: CoordinatorState) -> EvaluationRow | None:
     best = state.evaluations.best
     return None if best is None else best.row
+
+
+def missing(state: CoordinatorState, commands: WorkerCommands | None) -> list[Missing]:
+    """Sub-tasks without a worker, and the evaluator if there is none, with the commands that bring them."""
+    if commands is None or state.outcome is not None:
+        return []
+    alone = [pid for pid in state.records if not state.leases.live(pid, state.now)]
+    found = [Missing(what=pid, command=commands.learner(pid)) for pid in alone]
+    if state.stand_ins.evaluator(state.now) is None:
+        found.append(Missing(what="evaluator", command=commands.evaluator(), needed=False))
+    return found
 
 
 def _finite(number: float) -> float | None:

@@ -26,8 +26,11 @@ from coordinator.events import (
     Tell,
 )
 from coordinator.leases import Lease, LeaseTable
+from coordinator.numbering import numbered
 from coordinator.progress import ReceivedProgress, read_progress, stack_starts
 from coordinator.records import LearnerRecord
+from coordinator.refusals import live_lease, stale_evaluator, unknown_pid
+from coordinator.stand_ins import StandIns
 from coordinator.stuck import StuckWatch
 from t4nmtd_dist.compiled import CompiledTask
 from t4nmtd_dist.errors import ProtocolError
@@ -95,7 +98,9 @@ class CoordinatorState:
         capacity = task.config.learner.start_capacity
         self.records = {pid: LearnerRecord(InitialStateBuffer(capacity)) for pid in pids}
         self.leases = LeaseTable(pids, settings.lease_s)
+        self.numbers = numbered(pids)
         self.evaluator_lease = LeaseTable([EVALUATOR], settings.lease_s)
+        self.stand_ins = StandIns(self.evaluator_lease)
         self.evaluations = EvaluationSchedule(task.config.evaluation)
         self.outcome: Outcome | None = None
         self.events: deque[EventLine] = deque(maxlen=EVENTS_KEPT)
@@ -185,27 +190,22 @@ class CoordinatorState:
         peer, answers = event.peer, event.envelope.id
         table = self.evaluator_lease if claim.role == "evaluator" else self.leases
         left = table.left_by(claim.instance, event.key, peer, self.now)
-        place = EVALUATOR if claim.role == "evaluator" else claim.pid or left or table.next_free(self.now)
+        asked = self.numbers.get(claim.pid or "", claim.pid)
+        place = EVALUATOR if claim.role == "evaluator" else asked or left or table.next_free(self.now)
         if place is None:
             text = "every sub-task has a learner; standing by"
             return [Send(peer, Refused(reason="nothing free", text=text, final=False), answers=answers)]
         if place not in table.places:
-            text = f"unknown pid {place!r}; the sub-tasks of {self.task.config.name} are {', '.join(table.places)}"
-            return [Send(peer, Refused(reason="unknown pid", text=text, final=True, pid=place), answers=answers)]
+            return [Send(peer, unknown_pid(self.task.config.name, place, table.places), answers=answers)]
+        stands_in = table is self.evaluator_lease and claim.stand_in
+        if table is self.evaluator_lease and not stands_in:
+            self.stand_ins.give_way()
         before = table.get(place)
-        lease = table.claim(place, peer, claim.instance, claim.critic_endpoint, self.now, event.key)
+        instance = f"{claim.instance} between its turns" if stands_in else claim.instance
+        lease = table.claim(place, peer, instance, claim.critic_endpoint, self.now, event.key)
         if lease is None:
-            return [self._refuse_live(peer, place, before, answers)]
+            return [Send(peer, live_lease(claim, place, before, self.now), answers=answers)]
         return self._grant(peer, claim, lease, answers)
-
-    def _refuse_live(self, peer: bytes, place: str, lease: Lease | None, answers: int) -> Send:
-        """A learner that wants just this sub-task may give up; a further evaluator stands by."""
-        holder = lease.instance if lease else "another worker"
-        remaining = lease.expires - self.now if lease else 0.0
-        text = f"{place} is held by {holder}, whose lease is live for {remaining:.0f} s more; "
-        learner = lease is None or self.evaluator_lease.get(place) is not lease
-        text += "stop that worker first, or start this one without --pid to stand by" if learner else "standing by"
-        return Send(peer, Refused(reason="lease is live", text=text, final=learner, pid=place), answers=answers)
 
     def _grant(self, peer: bytes, claim: Claim, lease: Lease, answers: int) -> list[Action]:
         record = self.records.get(lease.place)
@@ -224,12 +224,17 @@ class CoordinatorState:
             rho=[float(x) for x in self.task.rho],
             version=record.version if record else 0,
             run_id=self.settings.run_id,
+            asked=claim.pid or "",
         )
         arrays = with_prefix("weights.", record.weights) if record else {}
-        told = self._tell(f"{claim.instance} takes {lease.place} (epoch {lease.epoch})")
-        return [Send(peer, granted, arrays, answers), told]
+        text = f"{claim.instance} takes {lease.place} (epoch {lease.epoch})"
+        if record is None and claim.stand_in:
+            text = self.stand_ins.begin(lease)
+        return [Send(peer, granted, arrays, answers), *([self._tell(text)] if text else [])]
 
     def _release(self, peer: bytes, release: Release) -> list[Action]:
+        if self.stand_ins.release(release.pid, release.epoch, peer):
+            return []
         tables = (self.leases, self.evaluator_lease)
         if not any(table.release(release.pid, release.epoch, peer) for table in tables):
             return []
@@ -317,6 +322,7 @@ class CoordinatorState:
             start_cursor=fresh[-1][0] if fresh else sync.start_cursor,
             q_table=self.high_level.entries(),
             peers=self._peers(sync.pid),
+            evaluate=self.interactions > 0 and self.stand_ins.wanted(self.now) and self._evaluation_due(),
         )
         return Send(peer, reply, stack_starts([(q, state) for _, q, state in fresh]), answers)
 
@@ -336,11 +342,12 @@ class CoordinatorState:
 
     def _evaluation_poll(self, peer: bytes, poll: EvaluationPoll, answers: int) -> list[Action]:
         if not self.evaluator_lease.renew(EVALUATOR, poll.epoch, peer, self.now):
-            text = "this evaluator's place was taken by another, or the coordinator was started again"
-            return [Send(peer, Refused(reason="stale epoch", text=text, final=False), answers=answers)]
-        versions = {pid: record.version for pid, record in self.records.items() if record.version}
-        if not self.evaluations.due(self.interactions, versions, self._training(), self.learners_s):
+            return [Send(peer, stale_evaluator(EVALUATOR), answers=answers)]
+        if poll.busy:
+            return []
+        if not self._evaluation_due():
             return [Send(peer, EvaluationJob(job=0), answers=answers)]
+        versions = self._versions()
         weights = {pid: acting_parameters(self.records[pid].weights) for pid in versions}
         snapshot = self.evaluations.hand_out(self.interactions, self.high_level.entries(), versions, weights)
         job = EvaluationJob(
@@ -352,6 +359,12 @@ class CoordinatorState:
         )
         arrays = {f"{pid}/weights.{name}": array for pid, named in weights.items() for name, array in named.items()}
         return [Send(peer, job, arrays, answers)]
+
+    def _versions(self) -> dict[str, int]:
+        return {pid: record.version for pid, record in self.records.items() if record.version}
+
+    def _evaluation_due(self) -> bool:
+        return self.evaluations.due(self.interactions, self._versions(), self._training(), self.learners_s)
 
     def _training(self) -> frozenset[str]:
         return frozenset(

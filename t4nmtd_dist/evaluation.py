@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Generator
 from dataclasses import dataclass
+from typing import TypeVar
 
 import gymnasium as gym
 import numpy as np
@@ -19,6 +21,7 @@ from t4nmtd_dist.worlds import BatchedWorld, Observations
 PERTURBATION_ROUNDS = 100
 
 Flags = NDArray[np.bool_]
+T = TypeVar("T")
 
 
 @dataclass(frozen=True)
@@ -74,13 +77,19 @@ class Evaluator:
         Raises:
             PolicyError: if the policy learned from observations of another size than the world's.
         """
+        return finished(self.steps(policy, perturb=perturb, actions=actions))
+
+    def steps(
+        self, policy: GlobalPolicy, *, perturb: int = 0, actions: ActionMode | None = None
+    ) -> Generator[None, None, EvaluationResult]:
+        """``run`` step by step, for a caller that has other things to do in between; returns the result."""
         rows = np.arange(self._world.count)
         if perturb:
             observations, q, redrawn = self._perturbed_starts(policy, perturb)
         else:
             observations, q, redrawn = self._reset(), np.full(len(rows), policy.dfa.initial, np.int32), 0
         sampling = self._sampling if (actions or policy.mode) == "sampled" else None
-        return self._episodes(policy, observations, q, redrawn, sampling)
+        return (yield from self._episodes(policy, observations, q, redrawn, sampling))
 
     def state(self) -> State:
         """What decides the starts and the sampled actions of the next evaluations, for a checkpoint."""
@@ -108,7 +117,7 @@ class Evaluator:
         q: NDArray[np.int32],
         redrawn: int,
         sampling: np.random.Generator | None,
-    ) -> EvaluationResult:
+    ) -> Generator[None, None, EvaluationResult]:
         policy.check_fits(observations)
         count = len(q)
         accepting, error = _masks(policy)
@@ -129,6 +138,7 @@ class Evaluator:
             observations, q = step.observations, q_next
             if path[-1] != q[0]:
                 path.append(int(q[0]))
+            yield
         return EvaluationResult(success, lengths, returns, path, redrawn)
 
     def _perturbed_starts(self, policy: GlobalPolicy, most: int) -> tuple[Observations, NDArray[np.int32], int]:
@@ -171,6 +181,16 @@ class Evaluator:
         if isinstance(space, gym.spaces.Box):
             return self._rng.uniform(space.low, space.high, size=(count, *space.shape)).astype(np.float32)
         raise WorldError(f"action space {space} is not supported; expected Discrete or Box")
+
+
+def finished(steps: Generator[None, None, T]) -> T:
+    """Run steps to their end; what they return."""
+    while True:
+        try:
+            next(steps)
+        except StopIteration as end:
+            result: T = end.value
+            return result
 
 
 def _masks(policy: GlobalPolicy) -> tuple[Flags, Flags]:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Generator, Sequence
 from dataclasses import dataclass
 
 from t4nmtd_dist.action_modes import ActionMode
@@ -25,8 +25,12 @@ class Played:
     other_success_rate: float | None
 
 
-def play(evaluator: Evaluator, policy: GlobalPolicy, modes: Sequence[ActionMode], enough: float) -> Played:
+def play(
+    evaluator: Evaluator, policy: GlobalPolicy, modes: Sequence[ActionMode], enough: float
+) -> Generator[None, None, Played]:
     """Play the first mode, and each further one only where those before it fall short; the best counts.
+
+    It goes step by step, for a caller that has other things to do in between, and returns what was played.
 
     Args:
         evaluator: plays the episodes.
@@ -36,7 +40,7 @@ def play(evaluator: Evaluator, policy: GlobalPolicy, modes: Sequence[ActionMode]
     """
     results: dict[ActionMode, EvaluationResult] = {}
     for mode in modes:
-        results[mode] = evaluator.run(policy, actions=mode)
+        results[mode] = yield from evaluator.steps(policy, actions=mode)
         if results[mode].success_rate >= enough:
             break
     best = max(results, key=lambda mode: (results[mode].success_rate, mode == "greedy"))

@@ -11,6 +11,7 @@ from small_tasks import small_task
 
 from coordinator.events import Action, Received, Send, Tick
 from coordinator.state import CoordinatorState, RunSettings
+from t4nmtd_dist.compiled import CompiledTask
 from t4nmtd_dist.wire.codec import Envelope
 from t4nmtd_dist.wire.messages import Claim, Granted, LearnerStats, Message, Refused, Sync, SyncReply
 
@@ -40,11 +41,17 @@ def starts(*rows: tuple[int, int]) -> dict[str, NDArray[Any]]:
 
 
 class Conversation:
-    """A coordinator of task 7, and what workers say to it; every worker is its own connection."""
+    """A coordinator of task 7 (or another), and what workers say to it; every worker is its own connection."""
 
-    def __init__(self, *flags: str, lease_s: float = 10.0, max_interactions: int = 10**9) -> None:
+    def __init__(
+        self,
+        *flags: str,
+        lease_s: float = 10.0,
+        max_interactions: int = 10**9,
+        task: CompiledTask | None = None,
+    ) -> None:
         settings = RunSettings(seed=0, max_interactions=max_interactions, lease_s=lease_s)
-        self.state = CoordinatorState(small_task(*flags), settings)
+        self.state = CoordinatorState(task or small_task(*flags), settings)
         self.now = 0.0
 
     def send(self, worker: str, message: Message, arrays: Arrays | None = None) -> list[Action]:

@@ -26,6 +26,7 @@ from t4nmtd_dist.wire.messages import (
     EventLine,
     Intervention,
     LearnerRow,
+    Missing,
     QCell,
 )
 
@@ -259,6 +260,7 @@ STATES = st.builds(
     q_table=st.lists(st.builds(QCell, q=Q, pid=TEXTS, value=FLOATS, greedy=st.booleans()), max_size=20),
     evaluations=st.lists(EVALUATIONS, max_size=8),
     events=st.lists(st.builds(EventLine, elapsed_s=FLOATS, text=TEXTS), max_size=8),
+    missing=st.lists(st.builds(Missing, what=TEXTS, command=TEXTS, needed=st.booleans()), max_size=12),
 )
 
 
@@ -294,6 +296,30 @@ def test_plain_line_names_the_lost_and_has_no_control_codes() -> None:
         assert part in text
     assert "LOST" not in plain_line(make_state(2))
     assert "not evaluated" in plain_line(make_state(evaluations=[], max_interactions=0))
+
+
+def lacks(count: int) -> list[Missing]:
+    needed = [Missing(what=f"h{n}", command=f"t4nmtd-worker --pid p{n}") for n in range(1, count)]
+    return [*needed, Missing(what="evaluator", command="t4nmtd-worker --evaluate", needed=False)]
+
+
+@pytest.mark.parametrize(("width", "height"), SIZES)
+def test_the_page_names_what_is_missing_and_the_command_that_brings_it(width: int, height: int) -> None:
+    page = "\n".join(drawn(make_state(missing=lacks(3)), width, height))
+    for number in (1, 2):
+        assert f"missing h{number}: t4nmtd-worker --pid p{number} " in page
+    assert "t4nmtd-worker --evaluate" in page
+    assert "missing" not in "\n".join(drawn(make_state(), width, height))
+    crowded = "\n".join(drawn(make_state(missing=lacks(40)), width, height))
+    shown = crowded.count("missing h")
+    assert shown >= 2
+    assert f"and {40 - shown} more" in crowded
+
+
+def test_the_plain_line_names_what_is_missing_and_the_command_that_brings_it() -> None:
+    text = plain_line(make_state(missing=lacks(3)))
+    assert "missing h1: t4nmtd-worker --pid p1 | missing h2: t4nmtd-worker --pid p2 | no evaluator" in text
+    assert "t4nmtd-worker --evaluate" in text
 
 
 def test_escape_codes_in_texts_never_reach_the_terminal() -> None:

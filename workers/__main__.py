@@ -20,7 +20,8 @@ class WorkerCommand:
     """Learn sub-tasks (or evaluate) for a coordinator, until the run is over."""
 
     pid: Annotated[list[str], tyro.conf.UseAppendAction, tyro.conf.arg(metavar="PID")] = field(default_factory=list)
-    """Sub-task to learn, such as p1; may be repeated. Without it: the next free one."""
+    """Sub-task to learn, by name, or by number (p1, p2, ...) where no sub-task has such a name; may be repeated.
+    Without it: the next free one."""
     evaluate: bool = False
     """Evaluate the composed policy instead of learning."""
     device: Device = "cpu"

@@ -2,19 +2,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Generator, Mapping
 from typing import Any
 
 from numpy.typing import NDArray
 
-from t4nmtd_dist.evaluation import Evaluator
+from t4nmtd_dist.evaluation import Evaluator, finished
 from t4nmtd_dist.evaluation_modes import play
 from t4nmtd_dist.high_level import QEntries
 from t4nmtd_dist.policy import GlobalPolicy
 from t4nmtd_dist.runs.state_tree import State
 from t4nmtd_dist.wire.codec import Envelope
 from t4nmtd_dist.wire.messages import EvaluationJob, EvaluationReport, Granted
-from workers.learner_session import compiled_from
+from workers.learner_session import compiled_from, training_of
 
 
 class EvaluationSession:
@@ -22,20 +22,33 @@ class EvaluationSession:
 
     Args:
         granted: the evaluator's lease.
+        seed: of the episodes' starts; the run's own by default.
     """
 
-    def __init__(self, granted: Granted) -> None:
+    def __init__(self, granted: Granted, *, seed: int | None = None) -> None:
         self.place, self.epoch = granted.pid, granted.epoch
         self._task = compiled_from(granted)
-        self._seed = granted.seed
+        self._training = training_of(granted)
+        self._seed = granted.seed if seed is None else seed
         self._evaluator: Evaluator | None = None
+
+    def renew(self, granted: Granted) -> bool:
+        """Go on under a later lease; False if that is for another training."""
+        if training_of(granted) != self._training:
+            return False
+        self.epoch = granted.epoch
+        return True
 
     def evaluate(self, envelope: Envelope) -> EvaluationReport:
         """Run one job."""
+        return finished(self.steps(envelope))
+
+    def steps(self, envelope: Envelope) -> Generator[None, None, EvaluationReport]:
+        """Run one job step by step; returns the report."""
         job = envelope.message
         assert isinstance(job, EvaluationJob)
         policy = self._policy(job.q_table, envelope.arrays)
-        played = play(self._evaluator_for(policy), policy, job.actions, self._task.config.evaluation.success)
+        played = yield from play(self._evaluator_for(policy), policy, job.actions, self._task.config.evaluation.success)
         result = played.result
         return EvaluationReport(
             epoch=self.epoch,

@@ -68,7 +68,7 @@ class LearnerSession:
         if weights:
             self.learner.load(weights, granted.version)
         self.run_id = granted.run_id
-        self._trained_for = _training_of(granted)
+        self._trained_for = training_of(granted)
         self._training = False
         self._counts = InterventionCounts()
         self._told_before = LearnerStats()
@@ -85,7 +85,7 @@ class LearnerSession:
 
     def goes_on_in(self, granted: Granted) -> bool:
         """Whether what was learned here is of use under a lease of this pid: of the same run, or of one like it."""
-        return granted.run_id == self.run_id or _training_of(granted) == self._trained_for
+        return granted.run_id == self.run_id or training_of(granted) == self._trained_for
 
     def renew(self, granted: Granted) -> None:
         """Go on under a new lease (the coordinator was started again) with everything learned so far.
@@ -251,7 +251,7 @@ class LearnerSession:
         self.peers = reply.peers
 
 
-def _training_of(granted: Granted) -> tuple[object, ...]:
+def training_of(granted: Granted) -> tuple[object, ...]:
     """All that decides what is learned under a lease: task with settings, automaton, sub-tasks, potentials, seed."""
     return granted.task, granted.dfa, granted.decomposition, granted.rho, granted.seed
 

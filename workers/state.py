@@ -67,7 +67,7 @@ class _Place:
     """Something this worker wants to hold.
 
     Attributes:
-        wanted: a given pid, or None for any free one.
+        wanted: a given pid or its number (p1), or None for any free one.
         held: the pid held now.
         kept: the pid held before the coordinator forgot of it: its learner goes on, so it is asked for again.
     """
@@ -168,19 +168,22 @@ class WorkerState:
         return []
 
     def _granted(self, granted: Granted, now: float) -> list[Action]:
-        place = self._place_for(granted.pid)
+        place = self._place_for(granted)
         if place is None:
             return [GiveBack(granted)]
+        self._places = [other for other in self._places if other is place or not _wants_the_same(other, granted)]
         ended = self._let_go(place, "the coordinator gave another sub-task") if place.kept != granted.pid else []
         place.held, place.kept = granted.pid, None
         place.retry = FIRST_RETRY_S
         self._standing_by = False
         if place.wanted is None and self.role == "learner":
             self._share_due = now + NEXT_SHARE_S
-        return [*ended, Begin(granted), Say(f"holds {granted.pid} (epoch {granted.epoch})")]
+        number = f"{granted.asked} is {granted.pid}; " if granted.asked not in ("", granted.pid) else ""
+        return [*ended, Begin(granted), Say(f"{number}holds {granted.pid} (epoch {granted.epoch})")]
 
-    def _place_for(self, pid: str) -> _Place | None:
-        matching = [place for place in self._places if pid in (place.held, place.kept, place.wanted)]
+    def _place_for(self, granted: Granted) -> _Place | None:
+        pid, asked = granted.pid, granted.asked or granted.pid
+        matching = [place for place in self._places if pid in (place.held, place.kept) or asked == place.wanted]
         open_places = [place for place in self._places if place.held is None and place.wanted is None]
         open_places.sort(key=lambda place: place.kept is not None)
         return next(iter(matching + open_places), None)
@@ -224,3 +227,8 @@ class WorkerState:
             return ended
         self._places.remove(place)
         return ended if self._places else [*ended, Exit(2, refused.text)]
+
+
+def _wants_the_same(place: _Place, granted: Granted) -> bool:
+    """Whether a place is for the sub-task just granted to another: given twice, or by name and by number."""
+    return place.wanted is not None and (place.held == granted.pid or place.wanted in (granted.pid, granted.asked))

@@ -15,7 +15,6 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-import msgspec
 from numpy.typing import NDArray
 
 from t4nmtd_dist.devices import Device
@@ -27,7 +26,6 @@ from t4nmtd_dist.wire.handshake import HandshakeMonitor, trouble
 from t4nmtd_dist.wire.keys import load_client
 from t4nmtd_dist.wire.messages import (
     EvaluationJob,
-    EvaluationPoll,
     Failure,
     Goodbye,
     Granted,
@@ -39,20 +37,19 @@ from t4nmtd_dist.wire.messages import (
 )
 from t4nmtd_dist.wire.sockets import connect, new_context, receive, send
 from workers.critic_service import CriticService
+from workers.evaluation_work import EvaluationWork
 from workers.loading import Loader, WaitingLease, check_trust
 from workers.neighbours import Neighbours
+from workers.stand_in import STAND_IN, StandIn
 from workers.state import Action, Ask, Begin, End, Exit, GiveBack, Say, WorkerState
 
 if TYPE_CHECKING:
-    from workers.evaluation_session import EvaluationSession
     from workers.keeping import SessionKeeper
     from workers.learner_session import LearnerSession
 
 SYNC_INTERVAL_S = 0.2
 HEARTBEAT_S = 0.5
 IDLE_POLL_S = 0.05
-EVALUATION_POLL_S = 0.2
-EVALUATION_PATIENCE_S = 3.0
 LONG_TURN_S = 2.0
 LAST_ANSWERS_S = 1.0
 STOPPED = 130
@@ -112,13 +109,13 @@ class Worker:
         )
         self._sessions: dict[str, LearnerSession] = {}
         self._neighbours = Neighbours(self._context, options.instance, self._keys, tell=say)
-        self._evaluation: EvaluationSession | None = None
+        self._evaluation: EvaluationWork | None = None
+        self._stand_in = StandIn(options.instance, lambda message: self._send(message, number=STAND_IN), say)
         self._waiting: dict[str, WaitingLease] = {}
         self._loader = Loader(options.role)
         self._keeper = None if options.checkpoints is None else self._keep(options.checkpoints)
         self._solved = False
         self._heartbeat_due = 0.0
-        self._poll_due = 0.0
         self._turn_began = self._last_syncs = time.monotonic()
         self._exit: Exit | None = None
         self._told: set[str] = set()
@@ -185,7 +182,7 @@ class Worker:
 
     def _turn(self) -> None:
         self._open_sessions()
-        busy = self._learn()
+        busy = self._evaluate() or (not self._stand_in.waiting and self._learn())
         if self._keeper is not None:
             self._keeper.turn(self._sessions.values())
         self._watch_connection()
@@ -200,7 +197,9 @@ class Worker:
             sync = session.next_sync(now, SYNC_INTERVAL_S)
             if sync is not None:
                 self._send(sync.message, sync.arrays)
-        self._poll_evaluation(now)
+        for evaluation in (self._evaluation, self._stand_in):
+            if evaluation is not None:
+                evaluation.tell()
         self._last_syncs = now
 
     def _keep_leases(self) -> None:
@@ -222,6 +221,13 @@ class Worker:
                 self._told.add(text)
                 say(text)
 
+    def _evaluate(self) -> bool:
+        """A slice of the evaluation under way, be it this worker's work or between its learners' turns."""
+        if self._evaluation is None or not self._evaluation.busy:
+            return self._stand_in.turn()
+        self._evaluation.advance()
+        return True
+
     def _learn(self) -> bool:
         """One roll-out of every learner that can start; False if none can."""
         self._neighbours.pull_experience()
@@ -232,8 +238,8 @@ class Worker:
             session.processor_s += time.process_time() - began
         return any(trained)
 
-    def _send(self, message: Message, arrays: Mapping[str, NDArray[Any]] | None = None) -> None:
-        send(self._control, Envelope(message, arrays or {}, self._options.instance))
+    def _send(self, message: Message, arrays: Mapping[str, NDArray[Any]] | None = None, *, number: int = 0) -> None:
+        send(self._control, Envelope(message, arrays or {}, self._options.instance, number))
 
     def _hear(self, timeout_s: float) -> None:
         while self._exit is None:
@@ -249,16 +255,14 @@ class Worker:
 
     def _take(self, envelope: Envelope) -> None:
         message = envelope.message
+        if envelope.id == STAND_IN and isinstance(message, Granted | Refused | EvaluationJob):
+            self._stand_in.take(envelope)
+            return
         self._act(self._state.hear(time.monotonic(), message), envelope.arrays)
         if isinstance(message, SyncReply):
             self._take_reply(message, envelope)
-        elif isinstance(message, EvaluationJob) and message.job and self._evaluation is not None:
-            began = time.process_time()
-            report = self._evaluation.evaluate(envelope)
-            self._send(msgspec.structs.replace(report, processor_s=time.process_time() - began))
-            self._poll_due = 0.0
-        elif isinstance(message, EvaluationJob):
-            self._poll_due = time.monotonic() + EVALUATION_POLL_S
+        elif isinstance(message, EvaluationJob) and self._evaluation is not None:
+            self._evaluation.take(envelope)
         elif isinstance(message, Refused) and message.reason == "stale epoch" and self._options.role == "evaluator":
             self._evaluation = None
         elif isinstance(message, Goodbye):
@@ -270,14 +274,11 @@ class Worker:
         session = self._sessions.get(reply.pid)
         if session is None:
             return
+        if reply.evaluate:
+            self._stand_in.invited()
         session.take_reply(envelope)
         self._neighbours.locate(session)
         self._critics.allow(peer.key for held in self._sessions.values() for peer in held.peers.values())
-
-    def _poll_evaluation(self, now: float) -> None:
-        if self._evaluation is not None and now >= self._poll_due:
-            self._poll_due = now + EVALUATION_PATIENCE_S
-            self._send(EvaluationPoll(epoch=self._evaluation.epoch))
 
     def _act(self, actions: Sequence[Action], arrays: Mapping[str, NDArray[Any]]) -> None:
         for action in actions:
@@ -321,7 +322,7 @@ class Worker:
             return
         for pid, lease in self._waiting.items():
             if lease.granted.role == "evaluator":
-                self._evaluation = lease.evaluate()
+                self._evaluation = EvaluationWork(lease.evaluate(), self._send)
                 continue
             session = lease.learn(self._options.device)
             if self._keeper is not None:
@@ -353,8 +354,9 @@ class Worker:
             self._send(Release(pid=pid, epoch=epoch))
             self._end(pid)
         if self._evaluation is not None:
-            self._send(Release(pid=self._evaluation.place, epoch=self._evaluation.epoch))
+            self._evaluation.give_back()
             self._evaluation = None
+        self._stand_in.close()
 
     def _close(self) -> None:
         self._give_back()

@@ -13,7 +13,7 @@ from t4nmtd_dist.cli.completion import Completion
 from t4nmtd_dist.cli.key_commands import Keys
 from t4nmtd_dist.cli.options import RunOptions
 from t4nmtd_dist.devices import Device
-from t4nmtd_dist.wire.endpoints import CONTROL_PORT, DEFAULT_CONTROL, DEFAULT_STATE, STATE_PORT, complete_endpoint
+from t4nmtd_dist.wire.endpoints import CONTROL_PORT, DEFAULT_CONTROL, complete_endpoint
 
 
 @dataclass(frozen=True)
@@ -219,8 +219,11 @@ class Tasks:
 class Dashboard:
     """Attach a live dashboard to a running coordinator."""
 
-    connect: str = DEFAULT_STATE
-    """Endpoint on which the coordinator publishes its state; HOST alone will do."""
+    directory: Annotated[Path | None, tyro.conf.Positional, tyro.conf.arg(metavar="RUN")] = None
+    """Directory of the run; by default the newest below ./runs that is running."""
+    connect: str | None = None
+    """Endpoint on which the coordinator publishes its state; HOST alone will do. By default that of the run, or
+    tcp://127.0.0.1:5571 where none is running below ./runs."""
     keys: Path | None = None
     """Folder of a client's keys, where the coordinator has keys."""
     wait: float = 60.0
@@ -235,8 +238,9 @@ class Dashboard:
     def run(self) -> int:
         """Watch."""
         from t4nmtd_dist.cli.dashboard import follow, save_picture
+        from t4nmtd_dist.cli.whereabouts import state_endpoint
 
-        endpoint = complete_endpoint(self.connect, STATE_PORT)
+        endpoint = state_endpoint(self.directory, self.connect)
         if self.svg is not None:
             return save_picture(endpoint, self.wait, self.svg, self.width, self.height, keys=self.keys)
         return follow(endpoint, self.wait, keys=self.keys)
@@ -246,8 +250,11 @@ class Dashboard:
 class Status:
     """Ask a coordinator how its run is (exit code 1: no answer)."""
 
-    connect: str = DEFAULT_CONTROL
-    """Endpoint on which the coordinator hears workers; HOST alone will do."""
+    directory: Annotated[Path | None, tyro.conf.Positional, tyro.conf.arg(metavar="RUN")] = None
+    """Directory of the run; by default the newest below ./runs that is running."""
+    connect: str | None = None
+    """Endpoint on which the coordinator hears workers; HOST alone will do. By default that of the run, or
+    tcp://127.0.0.1:5570 where none is running below ./runs."""
     keys: Path | None = None
     """Folder of a client's keys, where the coordinator has keys."""
     check: bool = False
@@ -259,9 +266,14 @@ class Status:
 
     def run(self) -> int:
         """Ask."""
-        from t4nmtd_dist.cli.status import show_status
+        from t4nmtd_dist.cli.status import show_status, tell_ending
+        from t4nmtd_dist.cli.whereabouts import control_endpoint
+        from t4nmtd_dist.runs.running import RunOverError
 
-        endpoint = complete_endpoint(self.connect, CONTROL_PORT)
+        try:
+            endpoint = control_endpoint(self.directory, self.connect, quiet=self.check)
+        except RunOverError as over:
+            return tell_ending(over, for_people=not (self.check or self.as_json))
         return show_status(endpoint, self.keys, self.wait, check=self.check, as_json=self.as_json)
 
 

@@ -11,6 +11,7 @@ import msgspec
 
 from t4nmtd_dist.errors import ProtocolError, RunError
 from t4nmtd_dist.runs.report import policy_text, row_text, solved_text
+from t4nmtd_dist.runs.running import RunOverError
 from t4nmtd_dist.wire.inquiry import ask_status
 from t4nmtd_dist.wire.keys import load_client
 from t4nmtd_dist.wire.messages import LearnerRow, Status
@@ -52,6 +53,15 @@ def show_status(endpoint: str, keys: Path | None, wait_s: float, *, check: bool,
     return HEALTHY
 
 
+def tell_ending(over: RunOverError, *, for_people: bool) -> int:
+    """Say how the run ended that was asked for: to people on standard output, to programs beside it."""
+    if for_people:
+        print(over)
+    else:
+        print(f"t4nmtd status: {over}", file=sys.stderr)
+    return SICK
+
+
 def page(status: Status) -> str:
     """A status as lines for people."""
     success = "none yet" if status.success_rate is None else f"{status.success_rate:.0%}"
@@ -63,6 +73,7 @@ def page(status: Status) -> str:
         *_result(status),
         *(_learner(row) for row in status.learners),
         f"evaluator: {status.evaluator or 'none'}",
+        *(lack.text for lack in status.missing),
     ]
     return "\n".join(lines)
 

@@ -8,6 +8,7 @@ import io
 import json
 import os
 import shutil
+import time
 import tomllib
 from collections.abc import Mapping
 from contextlib import suppress
@@ -32,6 +33,7 @@ LOCK_FILE = ".lock"
 VERSIONS_FILE = "versions.json"
 EVENTS_FILE = "events.jsonl"
 ROUNDING_S = 0.001  # of times in the metrics
+LOCK_TRIES, LOCK_PAUSE_S = 5, 0.02
 FILES = {CONFIG_FILE, SUMMARY_FILE, ENDPOINTS_FILE, LOCK_FILE, VERSIONS_FILE, EVENTS_FILE, RESERVE_FILE}
 FOLDERS = {"metrics", "logs", "tensorboard", "policy", "policy.old", CHECKPOINTS_FOLDER}
 
@@ -161,11 +163,9 @@ class RunDirectory:
             RunError: if another process has claimed it.
         """
         file = open_to_append(self.path / LOCK_FILE)
-        try:
-            fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        except BlockingIOError:
+        if not _locked(file):
             file.close()
-            raise RunError(f"the run in {self.path} is still going on; stop it first") from None
+            raise RunError(f"the run in {self.path} is still going on; stop it first")
         self._lock = file
 
     def unlock(self) -> None:
@@ -224,6 +224,18 @@ class RunDirectory:
             RunError: if the run has none.
         """
         return read_summary(self.path)
+
+
+def _locked(file: IO[bytes]) -> bool:
+    """Lock a file; a `t4nmtd status` that tests the lock at this moment holds it for an instant only."""
+    for _ in range(LOCK_TRIES):
+        try:
+            fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError:
+            time.sleep(LOCK_PAUSE_S)
+            continue
+        return True
+    return False
 
 
 def read_summary(path: Path) -> dict[str, Any]:

@@ -27,17 +27,22 @@ class Claim(Message, frozen=True, tag="claim"):
     """Worker -> coordinator: asks for a lease on a sub-task, or for the evaluator's place.
 
     ``pid`` None means the next free sub-task. ``instance`` names the worker process, so that a repeated claim
-    of the same process renews its lease instead of colliding with it.
+    of the same process renews its lease instead of colliding with it. ``stand_in``: a learner's worker claims the
+    evaluator's place for one evaluation between its turns.
     """
 
     role: Role
     instance: str
     pid: str | None = None
     critic_endpoint: str = ""
+    stand_in: bool = False
 
 
 class Granted(Message, frozen=True, tag="granted"):
-    """Coordinator -> worker: a lease. arrays: the newest weights of the sub-task, if any (``weights.*``)."""
+    """Coordinator -> worker: a lease. arrays: the newest weights of the sub-task, if any (``weights.*``).
+
+    ``asked`` repeats the claim's ``pid``, which may be a number such as p1; "" if it named none.
+    """
 
     role: Role
     pid: str
@@ -50,6 +55,7 @@ class Granted(Message, frozen=True, tag="granted"):
     rho: list[float]
     version: int = 0
     run_id: str = ""
+    asked: str = ""
 
 
 class Refused(Message, frozen=True, tag="refused"):
@@ -126,7 +132,10 @@ class Peer(Message, frozen=True):
 
 
 class SyncReply(Message, frozen=True, tag="sync_reply"):
-    """Coordinator -> learner. arrays: ``starts.q`` int32 [m] and ``starts.state`` [m, s], the new start states."""
+    """Coordinator -> learner. arrays: ``starts.q`` int32 [m] and ``starts.state`` [m, s], the new start states.
+
+    ``evaluate``: there is no evaluator and an evaluation is due, so this learner's worker may stand in for one.
+    """
 
     pid: str
     epoch: int
@@ -134,6 +143,7 @@ class SyncReply(Message, frozen=True, tag="sync_reply"):
     start_cursor: int
     q_table: list[tuple[int, str, float]]
     peers: dict[str, Peer]
+    evaluate: bool = False
 
 
 class Release(Message, frozen=True, tag="release"):
@@ -144,9 +154,13 @@ class Release(Message, frozen=True, tag="release"):
 
 
 class EvaluationPoll(Message, frozen=True, tag="evaluation_poll"):
-    """Evaluator -> coordinator, every second while idle: heartbeat, and answered by a job once one is due."""
+    """Evaluator -> coordinator, every second while idle: heartbeat, and answered by a job once one is due.
+
+    ``busy``: only a heartbeat in the midst of an evaluation, which is not answered.
+    """
 
     epoch: int
+    busy: bool = False
 
 
 class EvaluationJob(Message, frozen=True, tag="evaluation_job"):
@@ -304,6 +318,21 @@ class EventLine(Message, frozen=True):
     text: str
 
 
+class Missing(Message, frozen=True):
+    """What a training started by hand lacks, and the command that brings it; ``needed`` False: it can do without."""
+
+    what: str
+    command: str
+    needed: bool = True
+
+    @property
+    def text(self) -> str:
+        """The same for people."""
+        if self.needed:
+            return f"missing {self.what}: {self.command}"
+        return f"no {self.what}: {self.command} (until then workers evaluate between their turns)"
+
+
 class Status(Message, frozen=True, tag="status"):
     """Coordinator -> who asked. ``clock`` is in seconds of Unix time, ``policy`` the best evaluation so far."""
 
@@ -325,6 +354,7 @@ class Status(Message, frozen=True, tag="status"):
     success_needed: float = 1.0
     solved_at: int | None = None
     policy: EvaluationRow | None = None
+    missing: list[Missing] = []
 
 
 class DashboardState(Message, frozen=True, tag="dashboard_state"):
@@ -353,6 +383,7 @@ class DashboardState(Message, frozen=True, tag="dashboard_state"):
     success_needed: float = 1.0
     solved_at: int | None = None
     policy: EvaluationRow | None = None
+    missing: list[Missing] = []
 
 
 KINDS: dict[str, type[Message]] = {

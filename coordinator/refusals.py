@@ -1,0 +1,32 @@
+"""Why a claim is refused, and what to do about it."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from coordinator.leases import Lease
+from coordinator.numbering import names_with_numbers
+from t4nmtd_dist.wire.messages import Claim, Refused
+
+
+def unknown_pid(task: str, pid: str, pids: Sequence[str]) -> Refused:
+    """A task has no sub-task of this name or number."""
+    text = f"unknown pid {pid!r}; the sub-tasks of {task} are {names_with_numbers(pids)}"
+    return Refused(reason="unknown pid", text=text, final=True, pid=pid)
+
+
+def live_lease(claim: Claim, place: str, lease: Lease | None, now: float) -> Refused:
+    """Another worker holds the place. A learner may give up then; an evaluator stands by."""
+    holder = lease.instance if lease else "another worker"
+    remaining = lease.expires - now if lease else 0.0
+    number = f"{claim.pid} is {place}; " if claim.role == "learner" and claim.pid not in (None, place) else ""
+    text = f"{number}{place} is held by {holder}, whose lease is live for {remaining:.0f} s more; "
+    learner = claim.role == "learner"
+    text += "stop that worker first, or start this one without --pid to stand by" if learner else "standing by"
+    return Refused(reason="lease is live", text=text, final=learner, pid=place)
+
+
+def stale_evaluator(place: str) -> Refused:
+    """An evaluator speaks under a lease that is over."""
+    text = "this evaluator's place was taken by another, or the coordinator was started again"
+    return Refused(reason="stale epoch", text=text, final=False, pid=place)

@@ -1,0 +1,58 @@
+"""When learners' workers may evaluate because no evaluator does, and which leases of its place are theirs."""
+
+from __future__ import annotations
+
+from coordinator.leases import Lease, LeaseTable
+
+STAND_IN_AFTER_S = 10.0
+
+
+class StandIns:
+    """Learners' workers that evaluate between their turns, each for one evaluation at a time.
+
+    They are invited after ``STAND_IN_AFTER_S`` without an evaluator: one that starts together with the learners, or is
+    started again after a crash, is there before.
+
+    Args:
+        table: the leases on the evaluator's place.
+    """
+
+    def __init__(self, table: LeaseTable) -> None:
+        self._table = table
+        (self._place,) = table.places
+        self._epoch = 0
+        self._alone_since: float | None = None
+        self._told = False
+
+    def evaluator(self, now: float) -> Lease | None:
+        """The live lease of an evaluator that is not a stand-in."""
+        lease = self._table.get(self._place)
+        return None if lease is None or lease.expires <= now or self._is_stand_in(lease) else lease
+
+    def wanted(self, now: float) -> bool:
+        """Whether to invite a stand-in now; to be asked whenever a learner of a training run is heard."""
+        if self.evaluator(now) is not None:
+            self._alone_since, self._told = None, False
+            return False
+        if self._alone_since is None:
+            self._alone_since = now
+        return not self._table.live(self._place, now) and now - self._alone_since >= STAND_IN_AFTER_S
+
+    def begin(self, lease: Lease) -> str:
+        """Note a stand-in's lease; what to tell of it: only the first without an evaluator is news."""
+        self._epoch = lease.epoch
+        told, self._told = self._told, True
+        return "" if told else "no evaluator: the learners' workers evaluate between their turns"
+
+    def give_way(self) -> None:
+        """End a stand-in's lease, for an evaluator that claims the place."""
+        if self._is_stand_in(self._table.get(self._place)):
+            self._table.end(self._place)
+
+    def release(self, place: str, epoch: int, holder: bytes) -> bool:
+        """A stand-in gives the place back; False if it was not one."""
+        lease = self._table.get(self._place)
+        return place == self._place and self._is_stand_in(lease) and self._table.release(place, epoch, holder)
+
+    def _is_stand_in(self, lease: Lease | None) -> bool:
+        return lease is not None and lease.epoch == self._epoch
