@@ -194,9 +194,7 @@ def test_every_kind_survives_the_trip(message: Message) -> None:
 
 
 @settings(max_examples=60)
-@given(
-    message=st.sampled_from(EXAMPLES), arrays=named_arrays, sender=printable, number=st.integers(0, 2**63 - 1)
-)
+@given(message=st.sampled_from(EXAMPLES), arrays=named_arrays, sender=printable, number=st.integers(0, 2**63 - 1))
 def test_any_arrays_survive_the_trip(
     message: Message, arrays: dict[str, NDArray[Any]], sender: str, number: int
 ) -> None:

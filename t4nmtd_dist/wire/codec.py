@@ -66,6 +66,7 @@ def encode(envelope: Envelope) -> list[bytes]:
     body = msgspec.to_builtins(envelope.message)
     kind = body.pop("type")
     arrays = {name: np.asarray(array, order="C") for name, array in envelope.arrays.items()}
+    _check_sizes(arrays)
     listed = [(name, _dtype_name(name, array), list(array.shape)) for name, array in arrays.items()]
     header = {
         "v": PROTOCOL_VERSION,
@@ -76,6 +77,13 @@ def encode(envelope: Envelope) -> list[bytes]:
         "arrays": listed,
     }
     return [msgpack.packb(header), *(array.tobytes() for array in arrays.values())]
+
+
+def _check_sizes(arrays: Arrays) -> None:
+    """Refuse here what the other side would refuse by ending the connection."""
+    for name, array in arrays.items():
+        if array.nbytes > MAX_ARRAY_BYTES:
+            raise ProtocolError(f"array {name!r} has {array.nbytes} bytes; a message takes {MAX_ARRAY_BYTES} at most")
 
 
 def _dtype_name(name: str, array: Array) -> str:

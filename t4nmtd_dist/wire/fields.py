@@ -55,4 +55,6 @@ def shortened(text: str) -> str:
 
 def explained(error: Exception) -> str:
     """What msgspec says of a value, without the pattern of ``PRINTABLE``."""
-    return shortened(re.sub(r"matching regex '.*'", "without control, format or line-separating characters", str(error)))
+    return shortened(
+        re.sub(r"matching regex '.*'", "without control, format or line-separating characters", str(error))
+    )
