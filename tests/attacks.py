@@ -113,10 +113,9 @@ def unread_answers(endpoint: str, count: int = 5_000) -> int:
 def many_connections(endpoint: str, count: int = 400, hold_s: float = 1.0) -> int:
     """Connections that say nothing; how many were open at a time."""
     host, port = endpoint.removeprefix("tcp://").rsplit(":", 1)
-    held = []
+    held: list[socket.socket] = []
     with suppress(OSError):
-        for _ in range(count):
-            held.append(socket.create_connection((host, int(port)), timeout=2.0))
+        held.extend(socket.create_connection((host, int(port)), timeout=2.0) for _ in range(count))
     time.sleep(hold_s)
     for connection in held:
         connection.close()

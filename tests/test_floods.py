@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import threading
+import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
@@ -22,6 +23,7 @@ from t4nmtd_dist.wire.sockets import Context, bind, bound_endpoint, connect, new
 
 MIB = 1 << 20
 DEADLINE_S = 20.0
+KEPT_S = 1.0
 
 
 @pytest.fixture(scope="module")
@@ -53,7 +55,11 @@ def growth(attacked: tuple[Processes, Path], attack: Callable[[], object]) -> tu
     assert isinstance(envelope.message, DashboardState)
     context.destroy(linger=0)
     watch.close()
-    return watch.peak[number] - watch.before[number], watch.now()[number] - watch.before[number]
+    deadline, kept = time.monotonic() + KEPT_S, watch.now()[number]
+    while time.monotonic() < deadline:  # libzmq frees what a connection left some moments after it
+        kept = min(kept, watch.now()[number])
+        time.sleep(0.1)
+    return watch.peak[number] - watch.before[number], kept - watch.before[number]
 
 
 def test_a_message_that_never_ends_is_cut_short(attacked: tuple[Processes, Path]) -> None:
@@ -156,7 +162,8 @@ def test_no_more_connections_than_allowed_are_kept(context: Context) -> None:
     try:
         first = [connect(context, bound_endpoint(router)) for _ in range(3)]
         assert all(dealer.poll(int(DEADLINE_S * 1000), zmq.POLLOUT) for dealer in first)
-        connect(context, bound_endpoint(router))
+        connections = [*first, connect(context, bound_endpoint(router))]
+        assert len(connections) == 4
         assert ended.wait(DEADLINE_S)
         assert "more than 3" in told[0]
         for dealer in first:
