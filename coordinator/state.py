@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from coordinator.checks import check_report, finite_figures
 from coordinator.evaluations import EvaluationSchedule
 from coordinator.events import (
     Action,
@@ -110,7 +111,7 @@ class CoordinatorState:
     @property
     def interactions(self) -> int:
         """Environment steps of all learners together, evaluation excluded."""
-        return sum(r.earlier.interactions + r.current.interactions for r in self.records.values())
+        return sum(record.interactions for record in self.records.values())
 
     @property
     def learners_s(self) -> float:
@@ -266,7 +267,7 @@ class CoordinatorState:
         if sync.sequence > record.sequence:
             record.sequence = sync.sequence
             self._apply(sync.pid, progress)
-            record.update(sync.stats, self.now)
+            record.update(finite_figures(sync.stats), self.now)
         weights = without_prefix("weights.", arrays)
         if weights and sync.version > record.version:
             record.version, record.weights = sync.version, weights
@@ -352,6 +353,7 @@ class CoordinatorState:
     def _evaluation_report(self, peer: bytes, report: EvaluationReport) -> list[Action]:
         if not self.evaluator_lease.renew(EVALUATOR, report.epoch, peer, self.now):
             return []
+        check_report(report, self.task)
         row = self.evaluations.report(report, self.elapsed_s)
         if row is None:
             return []

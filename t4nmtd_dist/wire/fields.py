@@ -8,6 +8,7 @@ from typing import Annotated
 from msgspec import Meta
 
 LARGEST_COUNT = 2**53  # the largest integer that JSON and float64 hold exactly
+LARGEST_AMOUNT = 1e12
 LONGEST_NAME = 1000  # sub-tasks are named by their literals
 LONGEST_TEXT = 500
 
@@ -28,13 +29,13 @@ Version = Annotated[int, Meta(ge=-1, le=LARGEST_COUNT)]
 StateNumber = Annotated[int, Meta(ge=0, le=2**31 - 1)]
 """A state of the automaton."""
 
-Amount = Annotated[float, Meta(ge=0.0, le=1e12)]
+Amount = Annotated[float, Meta(ge=0.0, le=LARGEST_AMOUNT)]
 """Seconds, steps and the like: finite and not negative."""
 
 Share = Annotated[float, Meta(ge=0.0, le=1.0)]
 """A share of a whole."""
 
-Finite = Annotated[float, Meta(ge=-1e12, le=1e12)]
+Finite = Annotated[float, Meta(ge=-LARGEST_AMOUNT, le=LARGEST_AMOUNT)]
 """Any number, but finite."""
 
 Name = Annotated[str, Meta(min_length=1, max_length=LONGEST_NAME, pattern=PRINTABLE)]
