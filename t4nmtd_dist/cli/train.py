@@ -67,7 +67,7 @@ def train(
     run = RunDirectory(plan.directory, restart=options.restart, resume=plan.resumes)
     directory = run.path
     interrupted = _Interrupted()
-    processes = LocalProcesses(directory)
+    processes = LocalProcesses(directory, _say)
     secured = [] if keys is None else ["--keys", str(keys.absolute())]
     try:
         control, publish = processes.start_coordinator([*_coordinator_arguments(options), *secured])

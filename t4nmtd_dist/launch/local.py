@@ -7,7 +7,7 @@ import os
 import subprocess
 import sys
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -18,6 +18,8 @@ START_DEADLINE_S = 60.0
 END_DEADLINE_S = 20.0  # time in which workers write their last checkpoints; most need a second
 RESTART_PAUSE_S = 0.5
 MOST_RESTARTS = 20
+MOST_REFUSALS = 3
+FORGIVEN_S = 600.0  # a worker that ran so long counts its refusals anew
 LONGEST_NAME = 100
 
 
@@ -46,14 +48,36 @@ def _name_of(hand: Sequence[str], number: int) -> str:
 
 @dataclass
 class _Child:
-    """A process of ours, and how often it was started again."""
+    """A process of ours, and how often it was started again.
+
+    Attributes:
+        refusals: how often it has ended with code 2, the code for what a user can mend.
+        given_up: whether it is not started again any more.
+        began: when its process was started, in seconds of a clock that only grows.
+        lived_s: how long the process that ended last had run.
+    """
 
     name: str
     command: list[str]
     log: Path
     process: subprocess.Popen[bytes]
     restarts: int = 0
+    refusals: int = 0
+    given_up: bool = False
     restart_at: float | None = None
+    began: float = field(default_factory=time.monotonic)
+    lived_s: float = 0.0
+
+    @property
+    def refused_at_start(self) -> bool:
+        """Whether its first process has just ended with code 2, before it can have learned much."""
+        first = self.restarts == 0 and self.restart_at is not None and self.process.returncode == 2
+        return first and self.lived_s < START_DEADLINE_S
+
+    @property
+    def learns(self) -> bool:
+        """Whether it is a learner, not the evaluator."""
+        return "--evaluate" not in self.command
 
 
 @dataclass
@@ -65,9 +89,11 @@ class LocalProcesses:
 
     Args:
         run_dir: the run directory; every process logs into its ``logs`` folder.
+        tell: called with a line about a worker that ends with code 2.
     """
 
     run_dir: Path
+    tell: Callable[[str], None] = print
     _children: dict[str, _Child] = field(default_factory=dict)
     _coordinator: subprocess.Popen[bytes] | None = None
 
@@ -110,26 +136,47 @@ class LocalProcesses:
         """Start dead workers again; False once the coordinator has ended.
 
         Raises:
-            RunError: if a worker keeps dying; the text is the end of its log.
+            RunError: if no learner is left; the text is the end of a log.
         """
         if self._coordinator is None or self._coordinator.poll() is not None:
             return False
         for child in self._children.values():
-            if child.process.poll() not in (None, 0):
+            if child.process.poll() not in (None, 0) and not child.given_up:
                 self._revive(child)
+        self._check_learners()
         return True
+
+    def _check_learners(self) -> None:
+        """End when no learner is left: all were given up, or each has ended with code 2 before any got to work."""
+        learners = [child for child in self._children.values() if child.learns]
+        if not learners:
+            return
+        if all(child.refused_at_start for child in learners) or all(child.given_up for child in learners):
+            raise RunError(_ended(learners[0]))
 
     def _revive(self, child: _Child) -> None:
         now = time.monotonic()
         if child.restart_at is None:
             child.restart_at = now + RESTART_PAUSE_S * 2 ** min(child.restarts, 5)
+            child.lived_s = now - child.began
+            self._count_refusal(child)
         if now < child.restart_at:
             return
-        if child.process.returncode == 2 or child.restarts >= MOST_RESTARTS:
-            raise RunError(f"worker {child.name} ended with code {child.process.returncode}: {_tail(child.log)}")
+        if child.refusals >= MOST_REFUSALS or child.restarts >= MOST_RESTARTS:
+            child.given_up = True
+            self.tell(f"{_ended(child)}\nit is not started again; the others go on")
+            return
         child.restarts += 1
         child.restart_at = None
-        child.process = _spawn(child.command, child.log)
+        child.process, child.began = _spawn(child.command, child.log), now
+
+    def _count_refusal(self, child: _Child) -> None:
+        if child.lived_s > FORGIVEN_S:
+            child.refusals = 0
+        if child.process.returncode == 2:
+            child.refusals += 1
+            if child.refusals < MOST_REFUSALS:
+                self.tell(f"{_ended(child)}\nit is started again")
 
     def coordinator_exit_code(self, timeout_s: float) -> int | None:
         """The coordinator's exit code; None if it does not end within ``timeout_s``."""
@@ -164,6 +211,10 @@ class LocalProcesses:
             except subprocess.TimeoutExpired:
                 process.kill()
                 process.wait()
+
+
+def _ended(child: _Child) -> str:
+    return f"worker {child.name} ended with code {child.process.returncode}: {_tail(child.log)}"
 
 
 def _role(package: str) -> list[str]:
