@@ -7,9 +7,12 @@ over lies in a buffer. A connection that exceeds its limit is shut down, which f
 
 from __future__ import annotations
 
+import ctypes
 import os
 import threading
+import time
 from collections.abc import Callable
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -27,6 +30,7 @@ QUIET_MS, BUSY_MS = 20, 2
 BUSY_BYTES = 4096  # received since the last look: look again soon
 SMALL_FRAMES_BYTES = 64 << 10  # from which on growth of the process is blamed on what is unread
 GROWTH_BYTES = 32 << 20
+TRIM_AFTER_S = 0.5  # in which libzmq frees what it had buffered
 TOTAL = 2  # all connections together may have this many times unread what one may
 
 
@@ -70,6 +74,7 @@ class ConnectionGuard:
         self._accounts: dict[Connection, _Account] = {}
         self._open: dict[int, Connection] = {}
         self._memory_before = 0
+        self._trim_at: float | None = None
         self._lock = threading.Lock()
         self._stop = threading.Event()
         self._thread = threading.Thread(target=self._loop, name="connection-guard", daemon=True)
@@ -102,6 +107,9 @@ class ConnectionGuard:
             if self._monitor.poll(pause_ms):
                 self._follow_connections()
             pause_ms = BUSY_MS if self._look() else QUIET_MS
+            if self._trim_at is not None and time.monotonic() > self._trim_at:
+                self._trim_at = None
+                _give_memory_back()
 
     def _follow_connections(self) -> None:
         while self._monitor.poll(0):
@@ -168,9 +176,16 @@ class ConnectionGuard:
     def _end(self, account: _Account, text: str) -> None:
         self._accounts.pop(account.connection, None)
         if account.connection.end():
+            self._trim_at = time.monotonic() + TRIM_AFTER_S
             self._tell(text)
 
 
 def _resident() -> int:
     """Bytes of this process that are in memory (Linux)."""
     return int(Path("/proc/self/statm").read_text(encoding="ascii").split()[1]) * os.sysconf("SC_PAGESIZE")
+
+
+def _give_memory_back() -> None:
+    """Return freed memory to the system: glibc keeps the many small pieces that subscriptions and frames were."""
+    with suppress(AttributeError, OSError, TypeError):
+        ctypes.CDLL(None).malloc_trim(0)
