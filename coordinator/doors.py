@@ -12,8 +12,8 @@ import zmq
 
 from t4nmtd_dist.wire.allow_list import AllowedFolder
 from t4nmtd_dist.wire.codec import Envelope
+from t4nmtd_dist.wire.connection_guard import ConnectionGuard
 from t4nmtd_dist.wire.gate import Arrival, Gate
-from t4nmtd_dist.wire.handshake import HandshakeMonitor
 from t4nmtd_dist.wire.keys import ClientKeys, KeyPair, load_coordinator
 from t4nmtd_dist.wire.limits import CONTROL_LIMITS, STATE_LIMITS, Limits
 from t4nmtd_dist.wire.notices import Notices
@@ -58,10 +58,11 @@ class Doors:
         self._allowed: AllowedFolder | None = None
         self._acted_upon: Set[str] = frozenset()
         self._authenticator: Authenticator | None = None
-        self._monitors: dict[str, HandshakeMonitor] = {}
+        self._guards: list[ConnectionGuard] = []
         with ExitStack() as undo:
             self._context: Context = new_context()
             undo.callback(self._context.destroy, 0)
+            undo.callback(self._close_guards)
             if access.keys is not None:
                 self._authenticator = self._let_in(access.keys)
                 undo.callback(self._authenticator.close)
@@ -69,11 +70,6 @@ class Doors:
             self._publisher, self._state_gate = self._bind(zmq.XPUB, access.publish, access.insecure, STATE_LIMITS)
             undo.pop_all()
         self.control, self.publish = bound_endpoint(self._control), bound_endpoint(self._publisher)
-        if self._own is not None:
-            self._monitors = {
-                self.control: HandshakeMonitor(self._control),
-                self.publish: HandshakeMonitor(self._publisher),
-            }
         self._poller = zmq.Poller()
         self._poller.register(self._control, zmq.POLLIN)
         self._poller.register(self._publisher, zmq.POLLIN)
@@ -93,8 +89,25 @@ class Doors:
         self._notices.once(f"refused a client at {refusal.address}: its key {refusal.key} is not on the list")
 
     def _bind(self, kind: int, endpoint: str, insecure: bool, limits: Limits) -> tuple[Socket, Gate]:
-        socket = bind(self._context, kind, endpoint, insecure=insecure, own=self._own, frame_bytes=limits.frame_bytes)
-        return socket, Gate(socket, limits, self._allowed, self._notices.once)
+        socket = bind(
+            self._context,
+            kind,
+            endpoint,
+            insecure=insecure,
+            own=self._own,
+            frame_bytes=limits.frame_bytes,
+            queued=limits.queued,
+        )
+        where = bound_endpoint(socket)
+        guard = ConnectionGuard(
+            socket, limits, lambda text: self._notices.once(f"{where}: {text}"), lambda _: self._not_agreed(where)
+        )
+        self._guards.append(guard)
+        return socket, Gate(socket, limits, self._allowed, self._notices.once, guard)
+
+    def _not_agreed(self, where: str) -> None:
+        if self._own is not None:
+            self._notices.once(f"refused a client at {where}: it has no key, or not this coordinator's public key")
 
     def wait(self, seconds: float) -> tuple[bool, bool]:
         """Wait until something arrives: whether messages do, and subscriptions."""
@@ -107,7 +120,7 @@ class Doors:
 
     def subscribed(self) -> bool:
         """Take what waits at the state socket; whether it is somebody's subscription."""
-        return self._state_gate.subscribed()
+        return self._state_gate.subscribed(MESSAGES_PER_TURN)
 
     def answer(self, peer: bytes, envelope: Envelope) -> None:
         """Send to one peer."""
@@ -132,22 +145,19 @@ class Doors:
 
     def notices(self) -> Iterator[str]:
         """Lines about trouble since the last call."""
-        for endpoint, monitor in self._monitors.items():
-            while (outcome := monitor.next()) is not None:
-                if outcome in ("broken", "mechanism"):
-                    self._notices.once(
-                        f"refused a client at {endpoint}: it has no key, or not this coordinator's public key"
-                    )
         while True:
             try:
                 yield self._noticed.get_nowait()
             except Empty:
                 return
 
+    def _close_guards(self) -> None:
+        while self._guards:
+            self._guards.pop().close()
+
     def close(self) -> None:
         """Close both sockets; what was sent may take half a second to leave."""
-        for monitor in self._monitors.values():
-            monitor.close()
+        self._close_guards()
         self._control.close(500)
         self._publisher.close(500)
         if self._authenticator is not None:

@@ -10,6 +10,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from t4nmtd_dist.errors import ProtocolError
+from t4nmtd_dist.wire.limits import STARTS_BYTES
+
+MOST_CHANGES = 1_000_000
+MOST_STARTS = 256
+LARGEST_REWARD = 1e9
 
 
 @dataclass(frozen=True)
@@ -36,14 +41,21 @@ def read_progress(
     changes = arrays.get("progress.q", np.empty((0, 3), np.int32))
     rewards = arrays.get("progress.reward", np.empty(0))
     _check(changes.ndim == 2 and changes.shape[1] == 3, f"progress.q has shape {changes.shape}, expected [n, 3]")
+    _check(len(changes) <= MOST_CHANGES, f"progress.q holds {len(changes)} changes; at most {MOST_CHANGES} are allowed")
+    _check(rewards.dtype.kind == "f", f"progress.reward is {rewards.dtype}, expected float64")
     _check(rewards.shape == changes.shape[:1], "progress.reward and progress.q differ in length")
     _check(bool(np.isfinite(rewards).all()), "progress.reward holds a number that is not finite")
+    _check(bool((abs(rewards) <= LARGEST_REWARD).all()), f"progress.reward exceeds {LARGEST_REWARD:g}")
+    _check(changes.dtype == np.int32, f"progress.q is {changes.dtype}, expected int32")
     _check(bool((changes[:, 2] >= 0).all()), "progress.q holds a negative number of steps")
     _check_states(changes[:, 0], 0, dfa_states)
     _check_states(changes[:, 1], -1, dfa_states)
     starts_q = arrays.get("starts.q", np.empty(0, np.int32))
     states = arrays.get("starts.state", np.empty((0, 0)))
     _check(starts_q.ndim == 1 and states.ndim == 2, "starts.q must be [m] and starts.state [m, s]")
+    _check(len(states) <= MOST_STARTS, f"starts.state holds {len(states)} states; at most {MOST_STARTS} are allowed")
+    size = states[:1].nbytes
+    _check(size <= STARTS_BYTES, f"starts.state holds states of {size} bytes; at most {STARTS_BYTES} are allowed")
     _check(len(starts_q) == len(states), "starts.q and starts.state differ in length")
     _check_states(starts_q, 0, dfa_states)
     if len(states) and snapshot is not None:

@@ -12,19 +12,25 @@ from numpy.typing import NDArray
 
 from t4nmtd_dist.initial_state_buffer import InitialStateBuffer
 from t4nmtd_dist.runs.state_tree import State
+from t4nmtd_dist.wire.fields import LARGEST_AMOUNT, LARGEST_COUNT
 from t4nmtd_dist.wire.messages import Intervention, LearnerStats
 
 RATE_WINDOW_S = 10.0
 
 
+def _sum(a: int, b: int) -> int:
+    """A sum of two counts, no larger than what every format here can hold."""
+    return min(a + b, LARGEST_COUNT)
+
+
 def add_interventions(a: Intervention, b: Intervention) -> Intervention:
     """Sums of two counts."""
     return Intervention(
-        asked=a.asked + b.asked,
-        answered=a.answered + b.answered,
-        late=a.late + b.late,
-        own_used=a.own_used + b.own_used,
-        lag_total=a.lag_total + b.lag_total,
+        asked=_sum(a.asked, b.asked),
+        answered=_sum(a.answered, b.answered),
+        late=_sum(a.late, b.late),
+        own_used=_sum(a.own_used, b.own_used),
+        lag_total=_sum(a.lag_total, b.lag_total),
     )
 
 
@@ -49,24 +55,29 @@ class LearnerRecord:
     _history: deque[tuple[float, int, int]] = field(default_factory=deque)
 
     @property
+    def interactions(self) -> int:
+        """Environment steps over all epochs."""
+        return _sum(self.earlier.interactions, self.current.interactions)
+
+    @property
     def total(self) -> LearnerStats:
         """Counts over all epochs; rates and phases are the newest."""
         a, b = self.earlier, self.current
         return LearnerStats(
             phase=b.phase,
-            interactions=a.interactions + b.interactions,
-            gradient_steps=a.gradient_steps + b.gradient_steps,
-            attempts=a.attempts + b.attempts,
-            successes=a.successes + b.successes,
+            interactions=_sum(a.interactions, b.interactions),
+            gradient_steps=_sum(a.gradient_steps, b.gradient_steps),
+            attempts=_sum(a.attempts, b.attempts),
+            successes=_sum(a.successes, b.successes),
             recent_success=b.recent_success,
             episode_steps=b.episode_steps,
             entropy=b.entropy,
             value_loss=b.value_loss,
             peer_rows=b.peer_rows,
-            processor_s=a.processor_s + b.processor_s,
-            errors=a.errors + b.errors,
-            timeouts=a.timeouts + b.timeouts,
-            terminated=a.terminated + b.terminated,
+            processor_s=min(a.processor_s + b.processor_s, LARGEST_AMOUNT),
+            errors=min(a.errors + b.errors, LARGEST_COUNT),
+            timeouts=min(a.timeouts + b.timeouts, LARGEST_COUNT),
+            terminated=min(a.terminated + b.terminated, LARGEST_COUNT),
             intervention=add_interventions(a.intervention, b.intervention),
         )
 

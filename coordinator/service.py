@@ -5,14 +5,16 @@ from __future__ import annotations
 import sys
 import threading
 import time
-from contextlib import ExitStack
+from collections.abc import Iterator
+from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from queue import SimpleQueue
 
 from coordinator.doors import Access, Doors
-from coordinator.events import Event, Finish, Interrupted, KeysChanged, Noticed, Received, Send, Tick
+from coordinator.events import Action, Event, Finish, Interrupted, KeysChanged, Noticed, Received, Send, Tick
 from coordinator.finishing import patience, write_result
 from coordinator.keeping import StateKeeper, go_on
+from coordinator.mishaps import Mishaps
 from coordinator.recorder import Recorder
 from coordinator.snapshot import dashboard_state, status
 from coordinator.state import CoordinatorState
@@ -22,6 +24,7 @@ from t4nmtd_dist.runs.directory import RunDirectory
 from t4nmtd_dist.runs.event_files import TensorBoard
 from t4nmtd_dist.runs.resuming import CHECKPOINT_EVERY_S, Identity, write_identity
 from t4nmtd_dist.wire.codec import Envelope
+from t4nmtd_dist.wire.fields import shortened
 from t4nmtd_dist.wire.gate import Arrival
 from t4nmtd_dist.wire.messages import Failure, StatusRequest
 
@@ -75,6 +78,7 @@ class CoordinatorService:
         self.commands = WorkerCommands(pids, self.control, access.keys) if by_hand else None
         self._run = run
         self._said: SimpleQueue[str] = SimpleQueue()
+        self._mishaps = Mishaps(self._said.put)
         resumed = self._go_on() if resume else ""
         write_identity(run.path, Identity(state.settings.run_id, serial=False))
         self._keeper = StateKeeper(state, run.checkpoints, checkpoint_every_s, self._said.put)
@@ -146,11 +150,17 @@ class CoordinatorService:
             self._feed(Interrupted(time.monotonic(), self._interrupt))
             self._interrupt = None
         self._feed(Tick(time.monotonic()))
-        self._publish_state()
+        with self._mishaps.survived("publishing the state"):
+            self._publish_state()
         if not self._over.is_set():
+            self._write_down()
+
+    def _write_down(self) -> None:
+        with self._mishaps.survived("recording metrics"):
             self._recorder.metrics()
+        with self._mishaps.survived("keeping a checkpoint"):
             self._keeper.turn()
-            self._hear_keeper()
+        self._hear_keeper()
 
     def _check_keys(self) -> None:
         allowed = self._doors.changed_keys()
@@ -162,24 +172,43 @@ class CoordinatorService:
     def _take(self, arrival: Arrival) -> None:
         peer, content = arrival.peer, arrival.content
         if isinstance(content, ProtocolError):
-            self._doors.answer(peer, Envelope(Failure(text=str(content))))
-        elif isinstance(content.message, StatusRequest):
-            self._doors.answer(
-                peer, Envelope(status(self.state, time.time(), self.commands), {}, "coordinator", content.id)
-            )
-        else:
-            self._feed(Received(time.monotonic(), peer, content, arrival.key))
+            self._doors.answer(peer, Envelope(Failure(text=shortened(str(content)))))
+            return
+        with self._answered(peer, content):
+            if isinstance(content.message, StatusRequest):
+                told = status(self.state, time.time(), self.commands)
+                self._doors.answer(peer, Envelope(told, {}, "coordinator", content.id))
+            else:
+                self._follow(Received(time.monotonic(), peer, content, arrival.key))
+
+    @contextmanager
+    def _answered(self, peer: bytes, question: Envelope) -> Iterator[None]:
+        """If taking a message fails, say so and tell its sender: it must not wait, and others must be heard."""
+        what = f"taking {type(question.message).__name__} of {question.sender or 'a client'}"
+        with self._mishaps.survived(what) as mishap:
+            yield
+        if mishap:
+            text = f"the coordinator failed at {what}; its log says why"
+            self._doors.answer(peer, Envelope(Failure(text=shortened(text)), {}, "coordinator", question.id))
 
     def _feed(self, event: Event) -> None:
+        with self._mishaps.survived(f"following {type(event).__name__}"):
+            self._follow(event)
+
+    def _follow(self, event: Event) -> None:
         for action in self.state.handle(event):
-            if isinstance(action, Send):
-                envelope = Envelope(action.message, action.arrays, "coordinator", action.answers)
-                self._doors.answer(action.peer, envelope)
-                continue
+            self._carry_out(action)
+
+    def _carry_out(self, action: Action) -> None:
+        if isinstance(action, Send):
+            envelope = Envelope(action.message, action.arrays, "coordinator", action.answers)
+            self._doors.answer(action.peer, envelope)
+            return
+        if isinstance(action, Finish):
+            self._publish_due = 0.0
+            self._over.set()
+        with self._mishaps.survived("recording"):
             self._recorder.record(action)
-            if isinstance(action, Finish):
-                self._publish_due = 0.0
-                self._over.set()
 
     def _publish_state(self) -> None:
         now = time.monotonic()

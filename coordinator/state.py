@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from coordinator.bulletin import Bulletin
+from coordinator.checks import check_report, finite_figures
 from coordinator.evaluations import EvaluationSchedule
 from coordinator.events import (
     Action,
@@ -25,6 +26,7 @@ from coordinator.events import (
     Send,
     Tell,
 )
+from coordinator.intake import Intake, usable
 from coordinator.leases import Lease, LeaseTable
 from coordinator.numbering import numbered
 from coordinator.progress import ReceivedProgress, read_progress, stack_starts
@@ -108,6 +110,8 @@ class CoordinatorState:
         self._clock_started = False
         self._lost: set[str] = set()
         self._bulletin, self._stuck = Bulletin(), StuckWatch()
+        self._intake = Intake(task)
+        self._complained: set[str] = set()
         self.snapshot: NDArray[Any] | None = None
         self.earlier_s = 0.0
         self._ended: float | None = None
@@ -120,7 +124,7 @@ class CoordinatorState:
     @property
     def interactions(self) -> int:
         """Environment steps of all learners together, evaluation excluded."""
-        return sum(r.earlier.interactions + r.current.interactions for r in self.records.values())
+        return sum(record.interactions for record in self.records.values())
 
     @property
     def learners_s(self) -> float:
@@ -178,8 +182,8 @@ class CoordinatorState:
         message = event.envelope.message
         told: list[Action] = []
         if isinstance(message, Sync) and self.leases.renew(message.pid, message.epoch, event.peer, self.now):
-            self._accept(message, event.envelope.arrays)
-            told = [self._reply(event.peer, message, self.records[message.pid], event.envelope.id)]
+            told = self._accept(message, event.envelope.arrays)
+            told += [self._reply(event.peer, message, self.records[message.pid], event.envelope.id)]
         elif isinstance(message, Release):
             told = self._release(event.peer, message)
         return [*told, Send(event.peer, Goodbye(reason=outcome), answers=event.envelope.id)]
@@ -212,6 +216,7 @@ class CoordinatorState:
         if record is not None:
             record.begin_epoch()
             self._lost.discard(lease.place)
+            self._complained.discard(lease.place)
         granted = Granted(
             role=claim.role,
             pid=lease.place,
@@ -264,27 +269,39 @@ class CoordinatorState:
         peer, answers = event.peer, event.envelope.id
         if not self.leases.renew(sync.pid, sync.epoch, peer, self.now):
             return self._refuse_stale(peer, sync, answers)
-        self._accept(sync, event.envelope.arrays)
+        told = self._accept(sync, event.envelope.arrays)
         back: list[Action] = [self._tell(f"{sync.pid} heard again")] if sync.pid in self._lost else []
         self._lost.discard(sync.pid)
         news = self._stuck.news(sync.pid, self.records, self.task, self.elapsed_s)
         back += [self._tell(line) for line in news]
         reply = self._reply(peer, sync, self.records[sync.pid], answers)
         if self.interactions >= self.settings.max_interactions:
-            return [*back, reply, *self._finish("budget spent", f"{self.interactions} interactions")]
-        return [*back, reply]
+            return [*told, *back, reply, *self._finish("budget spent", f"{self.interactions} interactions")]
+        return [*told, *back, reply]
 
-    def _accept(self, sync: Sync, arrays: Mapping[str, NDArray[Any]]) -> None:
-        """Take in what is new: progress, counts and weights."""
+    def _accept(self, sync: Sync, arrays: Mapping[str, NDArray[Any]]) -> list[Action]:
+        """Take in what is new: progress, counts and weights; lines about what is of no use."""
         progress = read_progress(arrays, self.task.dfa.states, self.snapshot)
         record = self.records[sync.pid]
+        told: list[Action] = []
         if sync.sequence > record.sequence:
             record.sequence = sync.sequence
-            self._apply(sync.pid, progress)
-            record.update(sync.stats, self.now)
+            told += self._apply(sync.pid, progress)
+            record.update(finite_figures(sync.stats), self.now)
         weights = without_prefix("weights.", arrays)
-        if weights and sync.version > record.version:
+        if not weights or sync.version <= record.version:
+            return told
+        trouble = self._intake.weights_trouble(weights, sync.version, self.records.values())
+        if not trouble:
             record.version, record.weights = sync.version, weights
+        return told + self._complain(sync.pid, trouble)
+
+    def _complain(self, pid: str, trouble: str) -> list[Action]:
+        """Tell of trouble with a learner, once for each of its leases."""
+        if not trouble or pid in self._complained:
+            return []
+        self._complained.add(pid)
+        return [self._tell(f"{pid}: {trouble}")]
 
     def _refuse_stale(self, peer: bytes, sync: Sync, answers: int) -> list[Action]:
         lease = self.leases.get(sync.pid) if sync.pid in self.leases.places else None
@@ -298,19 +315,22 @@ class CoordinatorState:
         refused = Refused(reason="stale epoch", text=text, final=final, pid=sync.pid)
         return [Send(peer, refused, answers=answers)]
 
-    def _apply(self, pid: str, progress: ReceivedProgress) -> None:
+    def _apply(self, pid: str, progress: ReceivedProgress) -> list[Action]:
         for q, q_next, steps, reward in progress.changes:
             if q_next < 0:
                 self.high_level.fail(q, pid)
             else:
                 self.high_level.update(q, pid, reward, q_next, steps)
-        for q, state in progress.starts:
+        starts = usable(progress.starts)
+        for q, state in starts:
             self.snapshot = state
             if q in self.task.terminal:
                 continue
             chosen = self.high_level.choose(q, self.rng)
             if chosen is not None:
                 self.records[chosen].buffer.add(q, state)
+        dropped = len(progress.starts) - len(starts)
+        return self._complain(pid, f"{dropped} start states are dropped: they are not finite" if dropped else "")
 
     def _reply(self, peer: bytes, sync: Sync, record: LearnerRecord, answers: int) -> Send:
         size = 1 if self.snapshot is None else self.snapshot.nbytes
@@ -376,6 +396,7 @@ class CoordinatorState:
     def _evaluation_report(self, peer: bytes, report: EvaluationReport) -> list[Action]:
         if not self.evaluator_lease.renew(EVALUATOR, report.epoch, peer, self.now):
             return []
+        check_report(report, self.task)
         row = self.evaluations.report(report, self.elapsed_s)
         if row is None:
             return []

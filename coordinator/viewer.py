@@ -10,6 +10,7 @@ from collections.abc import Callable
 from rich.console import Console
 
 from coordinator.dashboard import LiveDashboard
+from coordinator.mishaps import Mishaps
 from t4nmtd_dist.errors import ProtocolError, RunError
 from t4nmtd_dist.wire.handshake import HandshakeMonitor, trouble
 from t4nmtd_dist.wire.keys import ClientKeys
@@ -53,6 +54,7 @@ def watch(
     console = console or Console()
     socket = subscribe(context, endpoint, keys, monitored=True)
     handshakes = HandshakeMonitor(socket)
+    mishaps = Mishaps(lambda text: None)  # the traceback on stderr says it all
     last: DashboardState | None = None
     heard = time.monotonic()
     try:
@@ -66,7 +68,8 @@ def watch(
                         break
                     continue
                 last, heard = state, time.monotonic()
-                visible = visible and dashboard.show(state)
+                with mishaps.survived("drawing the dashboard"):
+                    visible = visible and dashboard.show(state)
                 if state.phase in OVER:
                     break
     finally:

@@ -51,6 +51,10 @@ class InitialStateBuffer:
             entries.popitem(last=False)
         return True
 
+    def remove(self, q: int, state: State) -> None:
+        """Drop <state, q>, if it is there."""
+        self._entries.get(q, OrderedDict()).pop(state.tobytes(), None)
+
     def since(self, cursor: int, limit: int) -> list[tuple[int, int, State]]:
         """Up to ``limit`` entries newer than ``cursor`` as (cursor, q, state), oldest first."""
         fresh = [

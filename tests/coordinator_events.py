@@ -12,6 +12,7 @@ from small_tasks import small_task
 from coordinator.events import Action, Received, Send, Tick
 from coordinator.state import CoordinatorState, RunSettings
 from t4nmtd_dist.compiled import CompiledTask
+from t4nmtd_dist.learners.weight_checks import NetworkSizes, expected_shapes
 from t4nmtd_dist.wire.codec import Envelope
 from t4nmtd_dist.wire.messages import Claim, Granted, LearnerStats, Message, Refused, Sync, SyncReply
 
@@ -38,6 +39,16 @@ def starts(*rows: tuple[int, int]) -> dict[str, NDArray[Any]]:
         "starts.q": np.array([q for q, _ in rows], np.int32),
         "starts.state": np.array([[number, 0] for _, number in rows], np.int64),
     }
+
+
+SIZES = NetworkSizes(observation=5, action=2)
+
+
+def weights(fill: float = 1.0, *flags: str, sizes: NetworkSizes = SIZES) -> dict[str, NDArray[Any]]:
+    """Arrays of a learner's weights that fit task 7 with these settings, all of one value."""
+    task = small_task(*flags)
+    shapes = expected_shapes(task.config, task.dfa.states, sizes)
+    return {f"weights.{name}": np.full(shape, fill, np.float32) for name, shape in shapes.items()}
 
 
 class Conversation:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from coordinator_events import Conversation, changes, starts
+from coordinator_events import Conversation, changes, starts, weights
 from hypothesis import settings
 from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, initialize, invariant, precondition, rule
@@ -106,7 +106,7 @@ class AnyConversation(RuleBasedStateMachine):
             cursor=held.cursor,
             stats=stats,
         )
-        arrays = changes((*row, 1, 5.0)) | starts(start) | {"weights.w": changes((0, 0, 0, 0.0))["progress.reward"]}
+        arrays = changes((*row, 1, 5.0)) | starts(start) | weights()
         actions = self.talk.send(worker, message, arrays)
         self.note(list(actions))
         for action in actions:

@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from coordinator_events import Conversation, changes, of, starts
+from coordinator_events import Conversation, changes, of, starts, weights
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -143,13 +143,14 @@ def test_a_silent_learner_is_called_lost_once() -> None:
 def test_new_weights_go_to_the_next_holder() -> None:
     talk = Conversation(lease_s=10.0)
     talk.claim("g", "old")
-    talk.sync("g", "old", version=4, arrays={"weights.actor.0.weight": np.ones((2, 2))})
+    talk.sync("g", "old", version=4, arrays=weights(7.0))
     talk.now = 11.0
     actions = talk.send("new", talk.claim_message("g", "new"))
     sent = next(action for action in of(Send, actions) if isinstance(action.message, Granted))
     assert isinstance(sent.message, Granted)
     assert sent.message.version == 4
-    assert sent.arrays["weights.actor.0.weight"].tolist() == [[1, 1], [1, 1]]
+    assert sent.arrays.keys() == weights().keys()
+    assert all((array == 7.0).all() for array in sent.arrays.values())
 
 
 # Progress

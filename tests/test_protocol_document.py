@@ -9,7 +9,7 @@ from pathlib import Path
 import msgspec
 import pytest
 
-from t4nmtd_dist.wire import codec, endpoints, messages
+from t4nmtd_dist.wire import codec, endpoints, limits, messages
 
 DOCUMENT = (Path(__file__).parent.parent / "docs" / "protocol.md").read_text(encoding="utf-8")
 ROW = re.compile(r"^\| `(\w+)` \|", re.MULTILINE)
@@ -76,6 +76,16 @@ def test_the_header_is_described_key_by_key() -> None:
 def test_limits_are_those_of_the_codec(name: str) -> None:
     (row,) = [line for line in DOCUMENT.splitlines() if line.endswith(f"| `{name}` |")]
     assert re.search(rf"\| {getattr(codec, name):,}\b", row)
+
+
+@pytest.mark.parametrize(
+    ("socket", "of"),
+    [("control", limits.CONTROL_LIMITS), ("critic", limits.CRITIC_LIMITS), ("state", limits.STATE_LIMITS)],
+)
+def test_limits_of_sockets_are_those_of_the_program(socket: str, of: limits.Limits) -> None:
+    (row,) = re.findall(rf"^\| {socket}[^|]*\| ([\d,]+) bytes \|(.*)\|$", DOCUMENT, re.MULTILINE)
+    numbers = [int(number.replace(",", "")) for number in re.findall(r"[\d,]+", " ".join(row))]
+    assert numbers == [of.frame_bytes, of.messages_per_s, of.bytes_per_s, of.unread_bytes, of.connections]
 
 
 def test_dtypes_defaults_and_version_are_those_of_the_program() -> None:

@@ -10,7 +10,7 @@ from typing import Any
 import msgspec
 import numpy as np
 import pytest
-from coordinator_events import Conversation, changes, starts
+from coordinator_events import Conversation, changes, starts, weights
 from small_sac import AT_G1, TO_G2, car_at, small_sac_task
 from small_tasks import START, TO_PASSENGER_2, small_task, snapshot_after
 
@@ -74,7 +74,7 @@ def told(run: SerialRun) -> dict[str, Any]:
     report = summary(run.coordinator)
     for name in ("wall_s", "outcome"):
         report.pop(name)
-    weights = {f"{pid}/{k}": v for pid, s in run.sessions.items() for k, v in s.learner.weights().items()}
+    learned = {f"{pid}/{k}": v for pid, s in run.sessions.items() for k, v in s.learner.weights().items()}
     rows = [
         (row.job, row.interactions, row.success_rate, row.mean_length, row.mean_return, row.dfa_path)
         for row in run.coordinator.evaluations.history
@@ -84,7 +84,7 @@ def told(run: SerialRun) -> dict[str, Any]:
         for pid, session in run.sessions.items()
     }
     return {
-        "weights": {name: array.tobytes() for name, array in weights.items()},
+        "weights": {name: array.tobytes() for name, array in learned.items()},
         "report": report,
         "evaluations": rows,
         "q": run.coordinator.high_level.entries(),
@@ -196,12 +196,12 @@ def talked() -> Conversation:
     talk = Conversation()
     talk.claim("p1")
     stats = LearnerStats(phase="training", interactions=100, attempts=7, successes=3, gradient_steps=11)
-    weights = {"weights.actor.0": np.arange(6, dtype=np.float32)}
-    arrays = {**changes((0, 1, 4, 2.5), (0, -1, 9, 0.0)), **starts((1, 17), (2, 18)), **weights}
+    learned = weights(3.0)
+    arrays = {**changes((0, 1, 4, 2.5), (0, -1, 9, 0.0)), **starts((1, 17), (2, 18)), **learned}
     talk.sync("p1", "w", stats=stats, version=5, arrays=arrays)
     evaluator = talk.claim_evaluator("e")
     talk.now = 40.0
-    talk.sync("p1", "w", sequence=2, stats=msgspec.structs.replace(stats, interactions=9000), version=6, arrays=weights)
+    talk.sync("p1", "w", sequence=2, stats=msgspec.structs.replace(stats, interactions=9000), version=6, arrays=learned)
     job = talk.answer("e", EvaluationPoll(epoch=evaluator.epoch))
     assert isinstance(job, EvaluationJob)
     talk.send("e", report(evaluator.epoch, job.job, 1.0))
@@ -238,7 +238,9 @@ def test_a_resumed_coordinator_knows_all_that_the_first_knew(tmp_path: Path) -> 
     assert fresh.state.rng.random() == talk.state.rng.random()
     ours, theirs = fresh.state.records["p1"], talk.state.records["p1"]
     assert (ours.version, ours.total) == (theirs.version, theirs.total)
-    assert ours.weights["actor.0"].tolist() == [0, 1, 2, 3, 4, 5]
+    assert {f"weights.{name}": array.tolist() for name, array in ours.weights.items()} == {
+        name: array.tolist() for name, array in weights(3.0).items()
+    }
     assert fresh.state.evaluations.history == talk.state.evaluations.history != []
     assert fresh.state.evaluations.in_a_row == 1
     assert fresh.state.elapsed_s == 40.0
@@ -411,7 +413,7 @@ def test_a_checkpoint_newer_than_the_coordinators_weights_is_told_to_it() -> Non
     work.iterate(2)
     older = saved_state(work.talk.state)
     work.iterate(2)
-    state, weights = work.kept(), work.session.learner.weights()
+    state, learned = work.kept(), work.session.learner.weights()
     work.talk = Conversation()
     load_saved_state(work.talk.state, older)
     work.claim(state)
@@ -419,7 +421,7 @@ def test_a_checkpoint_newer_than_the_coordinators_weights_is_told_to_it() -> Non
     work.hear(work.session.last_sync())
     record = work.talk.state.records["p1"]
     assert record.version == 4
-    assert all(record.weights[name].tobytes() == array.tobytes() for name, array in weights.items())
+    assert all(record.weights[name].tobytes() == array.tobytes() for name, array in learned.items())
 
 
 @pytest.mark.parametrize("heard", [True, False])

@@ -21,6 +21,7 @@ from t4nmtd_dist.errors import ProtocolError
 from t4nmtd_dist.wire.addresses import LOOPBACK, split_endpoint
 from t4nmtd_dist.wire.allow_list import AllowedKeys
 from t4nmtd_dist.wire.codec import Envelope, with_prefix
+from t4nmtd_dist.wire.connection_guard import ConnectionGuard
 from t4nmtd_dist.wire.gate import Arrival, Gate
 from t4nmtd_dist.wire.keys import KeyPair
 from t4nmtd_dist.wire.limits import CRITIC_LIMITS
@@ -110,8 +111,17 @@ class CriticService:
             None if self._allowed is None else Authenticator(context, self._allowed, self._refused, for_good=False)
         )
         limits = CRITIC_LIMITS
-        self._socket = bind(context, zmq.ROUTER, endpoint, insecure=insecure, own=own, frame_bytes=limits.frame_bytes)
-        self._gate = Gate(self._socket, limits, self._allowed, self._notices.once)
+        self._socket = bind(
+            context,
+            zmq.ROUTER,
+            endpoint,
+            insecure=insecure,
+            own=own,
+            frame_bytes=limits.frame_bytes,
+            queued=limits.queued,
+        )
+        self._guard = ConnectionGuard(self._socket, limits, self._notices.once)
+        self._gate = Gate(self._socket, limits, self._allowed, self._notices.once, self._guard)
         host, port = split_endpoint(bound_endpoint(self._socket))
         self.endpoint = f"tcp://{advertise or host}:{port}"
         self._critics: dict[str, PublishedValues] = {}
@@ -153,6 +163,7 @@ class CriticService:
             if self._socket.poll(POLL_MS):
                 self._take(list(self._gate.arrivals(MESSAGES_PER_TURN)))
             self._gate.expel()
+        self._guard.close()
         self._socket.close(0)
 
     def _take(self, arrivals: Sequence[Arrival]) -> None:

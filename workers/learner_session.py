@@ -5,7 +5,7 @@ Pure with respect to the network: messages are made and taken here, and sent els
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import asdict
 from typing import Any
 
@@ -18,10 +18,12 @@ from t4nmtd_dist.compiled import CompiledTask
 from t4nmtd_dist.config import task_config
 from t4nmtd_dist.decomposition import Decomposition
 from t4nmtd_dist.devices import Device
+from t4nmtd_dist.errors import PolicyError, ProtocolError
 from t4nmtd_dist.initial_state_buffer import InitialStateBuffer
 from t4nmtd_dist.learners.attempts import Progress
 from t4nmtd_dist.learners.build import build_learner, subtask_seed
 from t4nmtd_dist.learners.peers import InterventionCounts, PeerCritics
+from t4nmtd_dist.learners.weight_checks import check_alike
 from t4nmtd_dist.runs.state_tree import State
 from t4nmtd_dist.wire.codec import Envelope, without_prefix
 from t4nmtd_dist.wire.limits import most_starts
@@ -51,9 +53,17 @@ class LearnerSession:
         granted: the lease.
         arrays: weights that came with it, if the sub-task was learned before.
         device: where the learner's networks are.
+        tell: called with a line about weights or start states that cannot be used.
     """
 
-    def __init__(self, granted: Granted, arrays: Mapping[str, NDArray[Any]], *, device: Device = "cpu") -> None:
+    def __init__(
+        self,
+        granted: Granted,
+        arrays: Mapping[str, NDArray[Any]],
+        *,
+        device: Device = "cpu",
+        tell: Callable[[str], None] = print,
+    ) -> None:
         task = compiled_from(granted)
         self.pid, self.epoch, self.lease_s = granted.pid, granted.epoch, granted.lease_s
         self.buffer = InitialStateBuffer(task.config.learner.start_capacity)
@@ -64,15 +74,30 @@ class LearnerSession:
         self.intervention = task.config.learner.intervention
         self.letters = task.dfa.delta.shape[1]
         self.processor_s = 0.0  # kept by whoever has a clock
-        weights = without_prefix("weights.", arrays)
-        if weights:
-            self.learner.load(weights, granted.version)
+        self._tell = tell
+        self.learner.attempts.tell = self._say
+        self._take_weights(granted, arrays)
         self.run_id = granted.run_id
         self._trained_for = training_of(granted)
         self._training = False
         self._counts = InterventionCounts()
         self._told_before = LearnerStats()
         self._begin_lease(sent_version=granted.version)
+
+    def _say(self, text: str) -> None:
+        self._tell(f"{self.pid}: {text}")
+
+    def _take_weights(self, granted: Granted, arrays: Mapping[str, NDArray[Any]]) -> None:
+        """Go on from weights that came with a lease; if they cannot be used, without, but under a newer version."""
+        weights = without_prefix("weights.", arrays)
+        if not weights:
+            return
+        try:
+            check_alike(weights, self.learner.weights())
+            self.learner.load(weights, granted.version)
+        except (PolicyError, ProtocolError) as error:
+            self._say(f"learning goes on without the weights of version {granted.version}: {error}")
+            self.learner.version = granted.version
 
     def _begin_lease(self, sent_version: int) -> None:
         self._told: LearnerStats | None = None
@@ -109,9 +134,8 @@ class LearnerSession:
             RunError, PolicyError: if the checkpoint is of another kind of learner.
         """
         self._load(state)
-        weights = without_prefix("weights.", arrays)
-        if weights and granted.version > self.learner.version:
-            self.learner.load(weights, granted.version)
+        if granted.version > self.learner.version:
+            self._take_weights(granted, arrays)
         self.learner.attempts.take_progress()
         self._counts = InterventionCounts()
         told = msgspec.convert(state["lease"]["told"], LearnerStats)

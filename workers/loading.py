@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import importlib
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
@@ -44,14 +44,14 @@ class WaitingLease:
             stats=LearnerStats(),
         )
 
-    def learn(self, device: Device) -> LearnerSession:
-        """The learner of this lease, on a device; call once loaded."""
+    def learn(self, device: Device, tell: Callable[[str], None]) -> LearnerSession:
+        """The learner of this lease, on a device, and whom to tell of trouble; call once loaded."""
         import torch
 
         from workers.learner_session import LearnerSession
 
         torch.set_num_threads(1)
-        return LearnerSession(self.granted, self.arrays, device=device)
+        return LearnerSession(self.granted, self.arrays, device=device, tell=tell)
 
     def evaluate(self) -> EvaluationSession:
         """The evaluator of this lease; call once loaded."""

@@ -324,7 +324,7 @@ class Worker:
             if lease.granted.role == "evaluator":
                 self._evaluation = EvaluationWork(lease.evaluate(), self._send)
                 continue
-            session = lease.learn(self._options.device)
+            session = lease.learn(self._options.device, say)
             if self._keeper is not None:
                 self._keeper.go_on(session, lease.granted, lease.arrays)
             session.learner.attempts.pulse = self._keep_leases

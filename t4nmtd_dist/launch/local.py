@@ -21,6 +21,8 @@ START_DEADLINE_S = 60.0
 END_DEADLINE_S = 20.0  # time in which workers write their last checkpoints; most need a second
 RESTART_PAUSE_S = 0.5
 MOST_RESTARTS = 20
+MOST_REFUSALS = 3
+FORGIVEN_S = 600.0  # a worker that ran so long counts its refusals anew
 LONGEST_NAME = 100
 KILLED_BY = (signal.SIGKILL, signal.SIGTERM, signal.SIGINT, signal.SIGHUP)  # somebody's wish, not a crash
 
@@ -50,15 +52,38 @@ def _name_of(hand: Sequence[str], number: int) -> str:
 
 @dataclass
 class _Child:
-    """A process of ours, how often it was started again, and how long its log was before that."""
+    """A process of ours, how often it was started again, and how long its log was before that.
+
+    Attributes:
+        refusals: how often it has ended with code 2, the code for what a user can mend.
+        given_up: whether it is not started again any more.
+        log_size: bytes of its log when the process was started.
+        began: when its process was started, in seconds of a clock that only grows.
+        lived_s: how long the process that ended last had run.
+    """
 
     name: str
     command: list[str]
     log: Path
     process: subprocess.Popen[bytes]
     restarts: int = 0
+    refusals: int = 0
+    given_up: bool = False
     restart_at: float | None = None
     log_size: int = 0
+    began: float = field(default_factory=time.monotonic)
+    lived_s: float = 0.0
+
+    @property
+    def refused_at_start(self) -> bool:
+        """Whether its first process has just ended with code 2, before it can have learned much."""
+        first = self.restarts == 0 and self.restart_at is not None and self.process.returncode == 2
+        return first and self.lived_s < START_DEADLINE_S
+
+    @property
+    def learns(self) -> bool:
+        """Whether it is a learner, not the evaluator."""
+        return "--evaluate" not in self.command
 
 
 @dataclass
@@ -117,28 +142,43 @@ class LocalProcesses:
         """Start dead workers again; False once the coordinator has ended.
 
         Raises:
-            RunError: if a worker keeps dying; the text is the end of its log.
+            RunError: if no learner is left; the text is the end of a log.
         """
         if self._coordinator is None or self._coordinator.poll() is not None:
             return False
         for child in self._children.values():
-            if child.process.poll() not in (None, 0):
+            if child.process.poll() not in (None, 0) and not child.given_up:
                 self._revive(child)
+        self._check_learners()
         return True
+
+    def _check_learners(self) -> None:
+        """End when no learner is left: all were given up, or each has ended with code 2 before any got to work."""
+        learners = [child for child in self._children.values() if child.learns]
+        if not learners:
+            return
+        if all(child.refused_at_start for child in learners) or all(child.given_up for child in learners):
+            raise RunError(_obituary(learners[0]))
 
     def _revive(self, child: _Child) -> None:
         now = time.monotonic()
         if child.restart_at is None:
+            child.lived_s = now - child.began
+            self._count_refusal(child)
             self.report(_obituary(child), _deserves_attention(child))
             child.restart_at = now + RESTART_PAUSE_S * 2 ** min(child.restarts, 5)
-        if now < child.restart_at:
+        if child.given_up or now < child.restart_at:
             return
-        if child.process.returncode == 2 or child.restarts >= MOST_RESTARTS:
-            raise RunError(f"worker {child.name} ended with code {child.process.returncode}: {_tail(child.log)}")
         child.restarts += 1
         child.restart_at = None
         child.log_size = child.log.stat().st_size
-        child.process = _spawn(child.command, child.log)
+        child.process, child.began = _spawn(child.command, child.log), now
+
+    def _count_refusal(self, child: _Child) -> None:
+        if child.lived_s > FORGIVEN_S:
+            child.refusals = 0
+        child.refusals += child.process.returncode == 2
+        child.given_up = child.refusals >= MOST_REFUSALS or child.restarts >= MOST_RESTARTS
 
     def coordinator_exit_code(self, timeout_s: float) -> int | None:
         """The coordinator's exit code; None if it does not end within ``timeout_s``."""
@@ -203,7 +243,9 @@ def _obituary(child: _Child) -> str:
     """How a worker ended, and its last words."""
     code = child.process.returncode
     how = f"was killed by {signal.Signals(-code).name}" if code < 0 else f"ended with code {code}"
-    return f"worker {child.name} {how}; its last lines, from {child.log}:\n{_tail(child.log, child.log_size)}".rstrip()
+    fate = "is not started again; others go on" if child.given_up else "is started again"
+    last = f"its last lines, from {child.log}:\n{_tail(child.log, child.log_size)}"
+    return f"worker {child.name} {how} and {fate}; {last}".rstrip()
 
 
 def _tail(log: Path, begin: int = 0) -> str:

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from t4nmtd_dist.errors import WorldError
 from t4nmtd_dist.initial_state_buffer import InitialStateBuffer, StartState, sample_starts
 from t4nmtd_dist.product import LetterReader, SubtaskTables
 from t4nmtd_dist.runs.state_tree import State, stacked
@@ -17,6 +18,7 @@ from t4nmtd_dist.worlds import BatchedWorld, Observations, Rows
 
 NO_TARGET = -1
 RECENT_ATTEMPTS = 100
+MOST_FAILURES = 50
 
 Mask = NDArray[np.bool_]
 States = NDArray[np.int32]
@@ -87,6 +89,7 @@ class Attempts:
 
     Attributes:
         pulse: called before every step, and by learners between the parts of a long update: a sign of life.
+        tell: called with a line about the first start state that cannot be restored.
     """
 
     def __init__(
@@ -113,6 +116,10 @@ class Attempts:
         self._seeded = np.zeros(world.count, dtype=np.bool_)
         self._begun = False
         self.pulse: Callable[[], None] = lambda: None
+        self.tell: Callable[[str], None] = print
+        self._told = False
+        self._failures = 0  # to restore a start state, in a row
+        self._restored: StartState | None = None
         self.progress = Progress()
         self.interactions = 0
         self.attempts = 0
@@ -181,12 +188,14 @@ class Attempts:
         return self._begun
 
     def _start(self, rows: Rows) -> bool:
-        starts = sample_starts(self._buffer, self._reset_q, len(rows), self._rng)
+        """Begin an attempt in each of these copies; False if there is nowhere to begin."""
+        starts = list(sample_starts(self._buffer, self._reset_q, len(rows), self._rng))
         if not starts:
             return False
-        fresh = [start.state is None for start in starts]
-        self._reset(rows[np.array(fresh)])
-        self._restore(rows[~np.array(fresh)], [start for start in starts if start.state is not None])
+        fresh = np.array([start.state is None for start in starts])
+        self._reset(rows[fresh])
+        if not self._restore(rows, starts, np.flatnonzero(~fresh)):
+            return False
         self.q[rows] = [start.q for start in starts]
         self._steps[rows] = 0
         self._steps_in_q[rows] = 0
@@ -200,12 +209,61 @@ class Attempts:
                 self.observations[part] = self._world.reset(part, seed)
                 self._seeded[part] = True
 
-    def _restore(self, rows: Rows, starts: list[StartState]) -> None:
-        if len(rows):
-            states = [start.state for start in starts if start.state is not None]
-            before = self._world.replayed
-            self.observations[rows] = self._world.restore(rows, states)
+    def _restore(self, rows: Rows, starts: list[StartState], places: Rows) -> bool:
+        """Restore the copies ``rows[places]`` from their starts; one that cannot be is replaced in ``starts``.
+
+        Returns:
+            False if none is left to replace it.
+
+        Raises:
+            WorldError: if one after another cannot be restored: it is the environment that fails.
+        """
+        if not len(places):
+            return True
+        before = self._world.replayed
+        try:
+            self._restore_all(rows[places], [starts[place] for place in places])
+            return True
+        except Exception:  # whatever an environment makes of a state from elsewhere
+            return all(self._restore_one(rows, starts, place) for place in places)
+        finally:
             self.interactions += self._world.replayed - before
+
+    def _restore_all(self, rows: Rows, starts: list[StartState]) -> None:
+        observations = self._world.restore(rows, [start.state for start in starts if start.state is not None])
+        if not np.isfinite(observations).all():
+            raise WorldError("its observation holds NaN or infinity")
+        self.observations[rows] = observations
+        self._failures, self._restored = 0, starts[-1]
+
+    def _restore_one(self, rows: Rows, starts: list[StartState], place: int) -> bool:
+        row = rows[place : place + 1]
+        while starts[place].state is not None:
+            try:
+                self._restore_all(row, [starts[place]])
+                return True
+            except Exception as error:
+                self._drop(starts[place], error)
+            another = next(iter(sample_starts(self._buffer, self._reset_q, 1, self._rng)), self._restored)
+            if another is None:
+                return False
+            starts[place] = another
+        self._reset(row)
+        return True
+
+    def _drop(self, start: StartState, error: Exception) -> None:
+        """Do without a start state; the first is told of."""
+        self._failures += 1
+        if self._failures >= MOST_FAILURES:
+            raise WorldError(
+                f"{self._failures} start states in a row could not be restored, the last for {type(error).__name__}: "
+                f"{error}; mend how the environment restores states (t4nmtd check), or choose another way (snapshots)"
+            ) from error
+        if start.state is not None:
+            self._buffer.remove(start.q, start.state)
+        if not self._told:
+            self._told = True
+            self.tell(f"a start state of DFA state {start.q} is dropped, for it cannot be restored: {error}")
 
     def step(self, actions: NDArray[Any]) -> AttemptStep:
         """Act in every copy, move the DFA, and begin again where an attempt is over."""
@@ -239,8 +297,8 @@ class Attempts:
         self.observations[:] = world_step.observations
         self.q = q_next.copy()  # restarts write into it; the experience keeps its own
         self._steps_in_q[changed] = 0
-        if ended.any():
-            self._start(np.flatnonzero(ended))
+        if ended.any() and not self._start(np.flatnonzero(ended)):
+            raise WorldError("no attempt can begin any more: no start state that there was could be restored")
         return result
 
     def _note(self, step: AttemptStep) -> None:

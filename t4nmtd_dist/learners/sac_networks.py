@@ -68,7 +68,8 @@ class Layers:
     named: dict[str, Tensor]
 
 
-def _sizes(shape: StackShape) -> Iterator[tuple[str, tuple[int, ...]]]:
+def parameter_shapes(shape: StackShape) -> Iterator[tuple[str, tuple[int, ...]]]:
+    """Name and shape of every parameter of a stack, in their order in the flat buffer."""
     count, width = shape.count, shape.inputs
     for number, out in enumerate(shape.hidden):
         yield f"{number}.weight", (count, width, out)
@@ -87,13 +88,13 @@ def _padded(size: tuple[int, ...]) -> int:
 
 def flat_length(shape: StackShape) -> int:
     """Length of the flat buffer of a stack, the gaps that align its layers included."""
-    return sum(_padded(size) for _, size in _sizes(shape))
+    return sum(_padded(size) for _, size in parameter_shapes(shape))
 
 
 def layers_of(flat: Tensor, shape: StackShape) -> Layers:
     """The layers of a stack as views of its flat buffer [flat_length]."""
     named, begin = {}, 0
-    for name, size in _sizes(shape):
+    for name, size in parameter_shapes(shape):
         named[name] = flat[begin : begin + math.prod(size)].view(size)
         begin += _padded(size)
     hidden = tuple(

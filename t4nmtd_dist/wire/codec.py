@@ -5,14 +5,16 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Annotated, Any
 
 import msgpack
 import msgspec
 import numpy as np
+from msgspec import Meta
 from numpy.typing import NDArray
 
 from t4nmtd_dist.errors import ProtocolError
+from t4nmtd_dist.wire.fields import OptionalName, explained, shortened
 from t4nmtd_dist.wire.messages import KINDS, PROTOCOL_VERSION, Message
 
 Array = NDArray[Any]
@@ -20,20 +22,26 @@ Arrays = Mapping[str, Array]
 
 DTYPES = frozenset({"<f4", "<f8", "<i4", "<i8", "|u1", "|i1", "|b1", "<u4", "<u8", "<i2", "<u2"})
 MAX_HEADER_BYTES = 4 << 20
-MAX_ARRAY_BYTES = 64 << 20
+MAX_REQUEST_HEADER_BYTES = 128 << 10
+MAX_ARRAY_BYTES = 16 << 20
+MAX_MESSAGE_BYTES = 32 << 20
 MAX_ARRAYS = 1024
 MAX_DIMENSIONS = 8
+BYTES_PER_ITEM = 32  # of a header, at least, for each item of its longest list: bounds what msgpack allocates ahead
+
+ArrayName = Annotated[str, Meta(max_length=300)]
+DtypeName = Annotated[str, Meta(max_length=8)]
 
 
 class Header(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """First frame of every message."""
 
     v: int
-    kind: str
-    sender: str
-    id: int
+    kind: Annotated[str, Meta(max_length=50)]
+    sender: OptionalName
+    id: Annotated[int, Meta(ge=0, le=2**63 - 1)]
     body: dict[str, Any]
-    arrays: list[tuple[str, str, list[int]]]
+    arrays: list[tuple[ArrayName, DtypeName, list[int]]]
 
 
 @dataclass(frozen=True)
@@ -58,6 +66,7 @@ def encode(envelope: Envelope) -> list[bytes]:
     body = msgspec.to_builtins(envelope.message)
     kind = body.pop("type")
     arrays = {name: np.asarray(array, order="C") for name, array in envelope.arrays.items()}
+    _check_sizes(arrays)
     listed = [(name, _dtype_name(name, array), list(array.shape)) for name, array in arrays.items()]
     header = {
         "v": PROTOCOL_VERSION,
@@ -70,6 +79,13 @@ def encode(envelope: Envelope) -> list[bytes]:
     return [msgpack.packb(header), *(array.tobytes() for array in arrays.values())]
 
 
+def _check_sizes(arrays: Arrays) -> None:
+    """Refuse here what the other side would refuse by ending the connection."""
+    for name, array in arrays.items():
+        if array.nbytes > MAX_ARRAY_BYTES:
+            raise ProtocolError(f"array {name!r} has {array.nbytes} bytes; a message takes {MAX_ARRAY_BYTES} at most")
+
+
 def _dtype_name(name: str, array: Array) -> str:
     dtype = array.dtype.str
     if dtype not in DTYPES:
@@ -77,44 +93,51 @@ def _dtype_name(name: str, array: Array) -> str:
     return dtype
 
 
-def decode(frames: Sequence[bytes]) -> Envelope:
-    """Read and check the frames of one message.
+def decode(frames: Sequence[bytes], *, header_bytes: int = MAX_HEADER_BYTES) -> Envelope:
+    """Read and check the frames of one message, in time proportional to their size.
+
+    Args:
+        frames: header and arrays.
+        header_bytes: the largest header to accept.
 
     Raises:
         ProtocolError: if anything does not follow the protocol; the text says what.
     """
     if not frames:
         raise ProtocolError("expected a header frame, got an empty message")
-    header = _header(frames[0])
+    header = _header(frames[0], min(header_bytes, MAX_HEADER_BYTES))
     kind = KINDS.get(header.kind)
     if kind is None:
         raise ProtocolError(f"unknown message kind {header.kind!r}; known: {', '.join(KINDS)}")
     try:
         message = msgspec.convert({**header.body, "type": header.kind}, kind)
-    except msgspec.ValidationError as error:
-        raise ProtocolError(f"message {header.kind!r}: {error}") from None
+    except (msgspec.ValidationError, RecursionError) as error:
+        raise ProtocolError(f"message {header.kind!r}: {explained(error)}") from None
     return Envelope(message, _arrays(header, frames[1:]), header.sender, header.id)
 
 
-def _header(frame: bytes) -> Header:
-    if len(frame) > MAX_HEADER_BYTES:
-        raise ProtocolError(f"header of {len(frame)} bytes; at most {MAX_HEADER_BYTES} are allowed")
+def _header(frame: bytes, most: int) -> Header:
+    if len(frame) > most:
+        raise ProtocolError(f"header of {len(frame)} bytes; at most {most} are allowed")
+    items = most // BYTES_PER_ITEM
     try:
-        raw = msgpack.unpackb(frame)
+        raw = msgpack.unpackb(frame, max_array_len=items, max_map_len=items)
     except Exception as error:  # msgpack raises a whole family on malformed input
-        raise ProtocolError(f"the header is not msgpack: {error}") from None
+        raise ProtocolError(shortened(f"the header is not msgpack: {error}")) from None
     version = raw.get("v") if isinstance(raw, dict) else None
     if version != PROTOCOL_VERSION:
-        raise ProtocolError(f"protocol version {version!r}; this program speaks {PROTOCOL_VERSION}")
+        raise ProtocolError(shortened(f"protocol version {version!r}; this program speaks {PROTOCOL_VERSION}"))
     try:
         return msgspec.convert(raw, Header)
-    except msgspec.ValidationError as error:
-        raise ProtocolError(f"malformed header: {error}") from None
+    except (msgspec.ValidationError, RecursionError) as error:
+        raise ProtocolError(f"malformed header: {explained(error)}") from None
 
 
 def _arrays(header: Header, frames: Sequence[bytes]) -> dict[str, Array]:
     if len(header.arrays) != len(frames) or len(frames) > MAX_ARRAYS:
         raise ProtocolError(f"{header.kind!r} announces {len(header.arrays)} arrays and carries {len(frames)}")
+    if sum(len(frame) for frame in frames) > MAX_MESSAGE_BYTES:
+        raise ProtocolError(f"the arrays of a message have more than {MAX_MESSAGE_BYTES} bytes")
     if len({name for name, _, _ in header.arrays}) != len(frames):
         raise ProtocolError(f"{header.kind!r} names an array twice")
     return {
@@ -126,13 +149,19 @@ def _arrays(header: Header, frames: Sequence[bytes]) -> dict[str, Array]:
 def _array(name: str, dtype: str, shape: list[int], frame: bytes) -> Array:
     if dtype not in DTYPES:
         raise ProtocolError(f"array {name!r}: dtype {dtype!r} is not allowed")
-    sides_fit = math.prod(max(n, 1) for n in shape) <= MAX_ARRAY_BYTES  # numpy counts sides beside an empty one too
-    if len(shape) > MAX_DIMENSIONS or min(shape, default=0) < 0 or not sides_fit:
+    if len(shape) > MAX_DIMENSIONS:
+        raise ProtocolError(f"array {name!r}: a shape of {len(shape)} dimensions; at most {MAX_DIMENSIONS} are allowed")
+    if not all(0 <= side <= MAX_ARRAY_BYTES for side in shape) or not _sides_fit(shape):
         raise ProtocolError(f"array {name!r}: shape {shape} is not allowed")
     expected = math.prod(shape) * np.dtype(dtype).itemsize
     if expected > MAX_ARRAY_BYTES or expected != len(frame):
         raise ProtocolError(f"array {name!r}: {len(frame)} bytes for shape {shape} {dtype}, expected {expected}")
     return np.frombuffer(frame, dtype).reshape(shape)
+
+
+def _sides_fit(shape: list[int]) -> bool:
+    """Whether numpy takes a shape: it multiplies the sides beside an empty one, too."""
+    return math.prod(max(side, 1) for side in shape) <= MAX_ARRAY_BYTES
 
 
 def with_prefix(prefix: str, arrays: Arrays) -> dict[str, Array]:

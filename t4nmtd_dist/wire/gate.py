@@ -2,18 +2,17 @@
 
 from __future__ import annotations
 
-import os
-import socket as sockets
 from collections import OrderedDict
 from collections.abc import Iterator
-from contextlib import suppress
 from dataclasses import dataclass
 
 import zmq
 
 from t4nmtd_dist.errors import ProtocolError
 from t4nmtd_dist.wire.allow_list import AllowedKeys
-from t4nmtd_dist.wire.codec import Envelope, decode
+from t4nmtd_dist.wire.codec import MAX_REQUEST_HEADER_BYTES, Envelope, decode
+from t4nmtd_dist.wire.connection_guard import ConnectionGuard
+from t4nmtd_dist.wire.connections import Connection, connection_of
 from t4nmtd_dist.wire.limits import CONNECTIONS_REMEMBERED, Limits, RateLimiter
 from t4nmtd_dist.wire.notices import Notices, Tell
 from t4nmtd_dist.wire.sockets import Socket
@@ -34,23 +33,6 @@ class Arrival:
     content: Envelope | ProtocolError
 
 
-@dataclass(frozen=True)
-class _Connection:
-    """A TCP connection by its descriptor, and by the inode that tells it from a later one of the same number."""
-
-    key: str
-    descriptor: int
-    inode: int
-
-    def end(self) -> bool:
-        """Shut it down; False if it had ended already."""
-        with suppress(OSError), sockets.socket(fileno=os.dup(self.descriptor)) as duplicate:
-            if os.fstat(duplicate.fileno()).st_ino == self.inode:
-                duplicate.shutdown(sockets.SHUT_RDWR)
-                return True
-        return False
-
-
 class Gate:
     """Stands before a bound ROUTER or XPUB socket.
 
@@ -62,12 +44,20 @@ class Gate:
         limits: what each connection may send.
         allowed: who may connect; None for a socket without keys.
         tell: called with a line about each connection that is shut out or sends too much.
+        guard: counts what is handed over of each connection.
     """
 
-    def __init__(self, socket: Socket, limits: Limits, allowed: AllowedKeys | None, tell: Tell) -> None:
-        self._socket, self._allowed, self._notices = socket, allowed, Notices(tell)
+    def __init__(
+        self,
+        socket: Socket,
+        limits: Limits,
+        allowed: AllowedKeys | None,
+        tell: Tell,
+        guard: ConnectionGuard | None = None,
+    ) -> None:
+        self._socket, self._allowed, self._notices, self._guard = socket, allowed, Notices(tell), guard
         self._rates = RateLimiter(limits)
-        self._connections: OrderedDict[tuple[int, int], _Connection] = OrderedDict()
+        self._keys: OrderedDict[Connection, str] = OrderedDict()
 
     def arrivals(self, most: int) -> Iterator[Arrival]:
         """The messages that wait at a ROUTER, at most ``most`` of them, refused ones included in the count."""
@@ -75,18 +65,35 @@ class Gate:
             try:
                 frames = self._socket.recv_multipart(flags=zmq.NOBLOCK, copy=False)
             except zmq.Again:
+                if self._guard is not None:
+                    self._guard.drained()
                 return
             peer, content = frames[0].bytes, frames[1:]
+            size = sum(len(frame) for frame in content)
+            if self._guard is not None:
+                self._guard.delivered(connection_of(frames[-1]), size)
             key = self._key(frames[-1])
-            if key is None or not self._within_rate(peer, key, sum(len(frame) for frame in content)):
+            if key is None or not self._within_rate(peer, key, size):
                 continue
             yield Arrival(peer, key, _decoded([frame.bytes for frame in content]))
 
-    def subscribed(self) -> bool:
-        """Take one message from an XPUB; whether it is a subscription of somebody allowed."""
-        frame = self._socket.recv(copy=False)
-        key = self._key(frame)
-        return key is not None and frame.bytes[:1] == b"\x01"
+    def subscribed(self, most: int) -> bool:
+        """Take up to ``most`` messages from an XPUB; whether one is a subscription of somebody allowed.
+
+        What exceeds the rates counts as none. It is not grounds to end the connection that the frame names: that may
+        have ended long ago, and its descriptor be another one's. The guard ends whoever subscribes to too much.
+        """
+        subscribed = False
+        for _ in range(most):
+            try:
+                frame = self._socket.recv(zmq.NOBLOCK, copy=False)
+            except zmq.Again:
+                break
+            key, over = self._key(frame), connection_of(frame)
+            if key is None or over is None or not self._within_rate(b"%d" % over.descriptor, key, len(frame)):
+                continue
+            subscribed |= frame.bytes[:1] == b"\x01"
+        return subscribed
 
     def _key(self, frame: zmq.Frame) -> str | None:
         """The sender's key ("" on a socket without keys), or None for one that is not allowed."""
@@ -100,28 +107,28 @@ class Gate:
         return None
 
     def _remember(self, frame: zmq.Frame, key: str) -> None:
-        with suppress(OSError, zmq.ZMQError, TypeError):
-            descriptor = int(frame.get(zmq.SRCFD))
-            inode = os.fstat(descriptor).st_ino
-            self._connections[descriptor, inode] = _Connection(key, descriptor, inode)
-            self._connections.move_to_end((descriptor, inode))
-            if len(self._connections) > CONNECTIONS_REMEMBERED:
-                self._connections.popitem(last=False)
+        over = connection_of(frame)
+        if over is None:
+            return
+        self._keys[over] = key
+        self._keys.move_to_end(over)
+        if len(self._keys) > CONNECTIONS_REMEMBERED:
+            self._keys.popitem(last=False)
 
     def expel(self) -> None:
         """End all connections whose key is no longer allowed."""
         if self._allowed is None:
             return
-        for number, connection in list(self._connections.items()):
-            if connection.key not in self._allowed:
-                del self._connections[number]
-                if connection.end():
-                    self._notices.once(f"ended the connection of key {connection.key}, which is no longer allowed")
+        for over, key in list(self._keys.items()):
+            if key not in self._allowed:
+                del self._keys[over]
+                if over.end():
+                    self._notices.once(f"ended the connection of key {key}, which is no longer allowed")
 
     def _within_rate(self, peer: bytes, key: str, size: int) -> bool:
         if self._rates.allows(peer, size):
             return True
-        who = self._allowed.name(key) if self._allowed is not None else f"connection {peer.hex()}"
+        who = self._allowed.name(key) if self._allowed is not None else "a connection"
         self._notices.once(f"{who} sends more than {self._socket_limits()}; what is over that is dropped")
         return False
 
@@ -132,7 +139,7 @@ class Gate:
 
 def _decoded(frames: list[bytes]) -> Envelope | ProtocolError:
     try:
-        return decode(frames)
+        return decode(frames, header_bytes=MAX_REQUEST_HEADER_BYTES)
     except ProtocolError as error:
         return error
 

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from typing import Literal
+from collections.abc import Mapping
+from typing import Any, Literal
 
 import zmq
 from zmq.utils.monitor import recv_monitor_message
@@ -41,10 +42,7 @@ class HandshakeMonitor:
         """The next outcome, or None after ``timeout_s``."""
         if not self._monitor.poll(int(timeout_s * 1000)):
             return None
-        event = recv_monitor_message(self._monitor)
-        if event["value"] == zmq.PROTOCOL_ERROR_ZMTP_MECHANISM_MISMATCH and _is_protocol(event["event"]):
-            return "mechanism"
-        return _OUTCOMES.get(int(event["event"]))
+        return outcome_of(recv_monitor_message(self._monitor))
 
     def close(self) -> None:
         """Stop watching."""
@@ -52,8 +50,12 @@ class HandshakeMonitor:
         self._monitor.close(0)
 
 
-def _is_protocol(event: int) -> bool:
-    return event == zmq.EVENT_HANDSHAKE_FAILED_PROTOCOL
+def outcome_of(event: Mapping[str, Any]) -> Outcome | None:
+    """What an event of libzmq's monitor says of a connection, if anything."""
+    is_protocol = event["event"] == zmq.EVENT_HANDSHAKE_FAILED_PROTOCOL
+    if is_protocol and event["value"] == zmq.PROTOCOL_ERROR_ZMTP_MECHANISM_MISMATCH:
+        return "mechanism"
+    return _OUTCOMES.get(int(event["event"]))
 
 
 def trouble(outcome: Outcome | None, endpoint: str, keys: ClientKeys | None) -> str | None:

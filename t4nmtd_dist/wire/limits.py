@@ -6,7 +6,7 @@ import time
 from collections import OrderedDict
 from dataclasses import dataclass
 
-from t4nmtd_dist.wire.codec import MAX_ARRAY_BYTES
+from t4nmtd_dist.wire.codec import MAX_ARRAY_BYTES, MAX_MESSAGE_BYTES, MAX_REQUEST_HEADER_BYTES
 
 CONNECTIONS_REMEMBERED = 4096
 BURST_S = 4.0
@@ -20,14 +20,21 @@ class Limits:
         frame_bytes: size of one frame; ZeroMQ drops the connection of a sender that exceeds it.
         messages_per_s: messages a second, averaged over ``BURST_S`` seconds.
         bytes_per_s: bytes a second, likewise.
+        unread_bytes: bytes that a connection may have sent and that were not handed over yet: a connection that
+            exceeds it is ended. On the state socket, where no message is handed over, all bytes that it ever sends.
+        connections: most connections at a time.
+        queued: most messages that wait to be sent over one connection.
     """
 
     frame_bytes: int
     messages_per_s: float
     bytes_per_s: float
+    unread_bytes: int = MAX_MESSAGE_BYTES + MAX_REQUEST_HEADER_BYTES
+    connections: int = 256
+    queued: int = 100
 
 
-STARTS_BYTES = MAX_ARRAY_BYTES // 4  # of the start states in one message
+STARTS_BYTES = MAX_ARRAY_BYTES // 2  # of the start states in one message
 
 
 def most_starts(count: int, size: int) -> int:
@@ -36,9 +43,9 @@ def most_starts(count: int, size: int) -> int:
 
 
 CONTROL_LIMITS = Limits(MAX_ARRAY_BYTES, 500, 128 << 20)
-CRITIC_LIMITS = Limits(8 << 20, 2000, 64 << 20)
-STATE_LIMITS = Limits(4096, 10, 4096)
-"""On the state socket, what comes in is nothing but subscriptions."""
+CRITIC_LIMITS = Limits(8 << 20, 2000, 64 << 20, unread_bytes=9 << 20, queued=20)
+STATE_LIMITS = Limits(1024, 10, 1024, unread_bytes=4096, connections=64, queued=20)
+"""On the state socket, what comes in is nothing but a handshake and subscriptions."""
 
 
 class RateLimiter:

@@ -1,18 +1,21 @@
 """Every message of the protocol as a typed Struct; docs/protocol.md says who sends which and when.
 
 Arrays never travel inside these bodies: they follow as raw frames, by name (see ``wire.codec``). The comment
-"arrays:" in a docstring names them.
+"arrays:" in a docstring names them. What clients and peers send is bounded field by field (``wire.fields``).
 """
 
 from __future__ import annotations
 
-from typing import Any, Literal
+from typing import Annotated, Any, Literal
 
 import msgspec
+from msgspec import Meta
 
 from t4nmtd_dist.action_modes import ActionMode
+from t4nmtd_dist.wire.fields import Address, Amount, Count, Finite, Name, OptionalName, Share, StateNumber, Version
 
-PROTOCOL_VERSION = 1
+PROTOCOL_VERSION = 2
+LONGEST_PATH = 100_000
 
 Role = Literal["learner", "evaluator"]
 LearnerPhase = Literal["free", "waiting", "training", "lost"]
@@ -32,9 +35,9 @@ class Claim(Message, frozen=True, tag="claim"):
     """
 
     role: Role
-    instance: str
-    pid: str | None = None
-    critic_endpoint: str = ""
+    instance: Name
+    pid: Name | None = None
+    critic_endpoint: Address = ""
     stand_in: bool = False
 
 
@@ -70,11 +73,11 @@ class Refused(Message, frozen=True, tag="refused"):
 class Intervention(Message, frozen=True):
     """Counts of critic values asked from peers, in rows, since the lease began (learners.peers says what of)."""
 
-    asked: int = 0
-    answered: int = 0
-    late: int = 0
-    own_used: int = 0
-    lag_total: int = 0
+    asked: Count = 0
+    answered: Count = 0
+    late: Count = 0
+    own_used: Count = 0
+    lag_total: Count = 0
 
 
 class LearnerStats(Message, frozen=True):
@@ -86,20 +89,20 @@ class LearnerStats(Message, frozen=True):
     """
 
     phase: LearnerPhase = "waiting"
-    interactions: int = 0
-    gradient_steps: int = 0
-    attempts: int = 0
-    successes: int = 0
+    interactions: Count = 0
+    gradient_steps: Count = 0
+    attempts: Count = 0
+    successes: Count = 0
     recent_success: float | None = None
     episode_steps: float | None = None
     entropy: float | None = None
     value_loss: float | None = None
-    peer_rows: int = 0
-    processor_s: float = 0.0
+    peer_rows: Count = 0
+    processor_s: Amount = 0.0
     intervention: Intervention = Intervention()
-    errors: int = 0
-    timeouts: int = 0
-    terminated: int = 0
+    errors: Count = 0
+    timeouts: Count = 0
+    terminated: Count = 0
 
 
 class Sync(Message, frozen=True, tag="sync"):
@@ -111,11 +114,11 @@ class Sync(Message, frozen=True, tag="sync"):
     ``weights.*`` when ``version`` is newer than what was sent before.
     """
 
-    pid: str
-    epoch: int
-    sequence: int
-    version: int
-    start_cursor: int
+    pid: Name
+    epoch: Count
+    sequence: Count
+    version: Count
+    start_cursor: Count
     stats: LearnerStats
 
 
@@ -149,8 +152,8 @@ class SyncReply(Message, frozen=True, tag="sync_reply"):
 class Release(Message, frozen=True, tag="release"):
     """Worker -> coordinator: gives a lease back."""
 
-    pid: str
-    epoch: int
+    pid: Name
+    epoch: Count
 
 
 class EvaluationPoll(Message, frozen=True, tag="evaluation_poll"):
@@ -159,7 +162,7 @@ class EvaluationPoll(Message, frozen=True, tag="evaluation_poll"):
     ``busy``: only a heartbeat in the midst of an evaluation, which is not answered.
     """
 
-    epoch: int
+    epoch: Count
     busy: bool = False
 
 
@@ -183,17 +186,17 @@ class EvaluationReport(Message, frozen=True, tag="evaluation_report"):
     All figures are of the mode ``actions``; ``other_success_rate`` is that of the other one where both were played.
     """
 
-    epoch: int
-    job: int
-    success_rate: float
-    mean_length: float
-    std_length: float
-    mean_return: float
-    episodes: int
-    dfa_path: list[int]
-    processor_s: float = 0.0
+    epoch: Count
+    job: Count
+    success_rate: Share
+    mean_length: Amount
+    std_length: Amount
+    mean_return: Finite
+    episodes: Count
+    dfa_path: Annotated[list[StateNumber], Meta(max_length=LONGEST_PATH)]
+    processor_s: Amount = 0.0
     actions: ActionMode = "greedy"
-    other_success_rate: float | None = None
+    other_success_rate: Share | None = None
 
 
 class Goodbye(Message, frozen=True, tag="goodbye"):
@@ -221,33 +224,33 @@ class Failure(Message, frozen=True, tag="failure"):
 class ValueRequest(Message, frozen=True, tag="value_request"):
     """Learner -> peer. arrays: ``observation`` float32 [k, d] and ``q`` int32 [k], the states after the change."""
 
-    pid: str
+    pid: Name
 
 
 class ValueReply(Message, frozen=True, tag="value_reply"):
     """Peer -> learner. arrays: ``value`` float32 [k]."""
 
-    version: int
+    version: Count
 
 
 class WeightsRequest(Message, frozen=True, tag="weights_request"):
     """Learner -> peer: the networks that value requests are answered from, if newer than ``newer_than``; -1: any."""
 
-    pid: str
-    newer_than: int
+    pid: Name
+    newer_than: Version
 
 
 class WeightsReply(Message, frozen=True, tag="weights_reply"):
     """Peer -> learner. arrays: ``weights.*`` of that version; none if it is not newer than what was named."""
 
-    version: int
+    version: Count
 
 
 class ExperienceRequest(Message, frozen=True, tag="experience_request"):
     """Learner -> peer: what the learner of ``pid`` has lived through, from its step number ``step`` on."""
 
-    pid: str
-    step: int
+    pid: Name
+    step: Count
 
 
 class ExperienceReply(Message, frozen=True, tag="experience_reply"):
@@ -258,9 +261,9 @@ class ExperienceReply(Message, frozen=True, tag="experience_reply"):
     numbers count in: after a peer has begun anew, be it from a checkpoint, there is another.
     """
 
-    first: int
-    written: int
-    origin: str = ""
+    first: Count
+    written: Count
+    origin: OptionalName = ""
 
 
 class LearnerRow(Message, frozen=True):

@@ -32,10 +32,10 @@ def new_context() -> Context:
     return zmq.Context()
 
 
-def _prepare(context: Context, kind: int, frame_bytes: int = MAX_ARRAY_BYTES) -> Socket:
+def _prepare(context: Context, kind: int, frame_bytes: int = MAX_ARRAY_BYTES, queued: int = QUEUED_MESSAGES) -> Socket:
     socket = context.socket(kind)
     socket.setsockopt(zmq.LINGER, 500)
-    socket.setsockopt(zmq.SNDHWM, QUEUED_MESSAGES)
+    socket.setsockopt(zmq.SNDHWM, queued)
     socket.setsockopt(zmq.RCVHWM, QUEUED_MESSAGES)
     socket.setsockopt(zmq.MAXMSGSIZE, frame_bytes + ENCRYPTION_BYTES)
     socket.setsockopt(zmq.HANDSHAKE_IVL, HANDSHAKE_MS)
@@ -50,6 +50,7 @@ def bind(
     insecure: bool = False,
     own: KeyPair | None = None,
     frame_bytes: int = MAX_ARRAY_BYTES,
+    queued: int = QUEUED_MESSAGES,
 ) -> Socket:
     """A bound ROUTER or XPUB socket.
 
@@ -60,6 +61,7 @@ def bind(
         insecure: allow an address that other machines can reach without keys.
         own: the pair by which clients know this socket; an ``Authenticator`` of the context decides who gets in.
         frame_bytes: the largest frame taken.
+        queued: most messages that wait to be sent over one connection.
 
     Raises:
         ConfigError: if the port is in use, the endpoint is malformed, or it is not on loopback and has no keys.
@@ -70,7 +72,7 @@ def bind(
             f"{endpoint} can be reached from other machines; pass --keys DIR (`t4nmtd keys new DIR` makes them), "
             "bind to 127.0.0.1, or pass --insecure if all of the network is trusted"
         )
-    socket = _prepare(context, kind, frame_bytes)
+    socket = _prepare(context, kind, frame_bytes, queued)
     if own is not None:
         _serve_keys(socket, own)
     if kind == zmq.XPUB:

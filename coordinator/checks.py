@@ -1,0 +1,39 @@
+"""Checks of what workers report against the task, beyond what the types of the messages bound."""
+
+from __future__ import annotations
+
+import math
+
+import msgspec
+
+from t4nmtd_dist.compiled import CompiledTask
+from t4nmtd_dist.errors import ProtocolError
+from t4nmtd_dist.wire.messages import EvaluationReport, LearnerStats
+
+OPTIONAL_FIGURES = ("recent_success", "episode_steps", "entropy", "value_loss")
+
+
+def finite_figures(stats: LearnerStats) -> LearnerStats:
+    """The counts of a learner with every figure that is not finite left out: a learner that diverges goes on."""
+    figures = {name: getattr(stats, name) for name in OPTIONAL_FIGURES}
+    unusable: dict[str, None] = {
+        name: None for name, figure in figures.items() if figure is not None and not math.isfinite(figure)
+    }
+    return msgspec.structs.replace(stats, **unusable) if unusable else stats
+
+
+def check_report(report: EvaluationReport, task: CompiledTask) -> None:
+    """Check an evaluation against the task.
+
+    Raises:
+        ProtocolError: if its path leaves the automaton, or its episodes are longer than any can be.
+    """
+    horizon = task.config.environment.horizon
+    if not report.episodes:
+        raise ProtocolError("evaluation report: expected at least one episode")
+    if max(report.mean_length, report.std_length) > horizon:
+        raise ProtocolError(
+            f"evaluation report: episodes of {report.mean_length} steps; at most {horizon} are possible"
+        )
+    if any(q >= task.dfa.states for q in report.dfa_path):
+        raise ProtocolError(f"evaluation report: the path leaves the DFA states 0..{task.dfa.states - 1}")

@@ -1,0 +1,60 @@
+"""What learners hand over for others to use, checked when it arrives: weights and start states."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from contextlib import suppress
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from coordinator.records import LearnerRecord
+from t4nmtd_dist.compiled import CompiledTask
+from t4nmtd_dist.errors import PolicyError
+from t4nmtd_dist.learners.weight_checks import NetworkSizes, check_weights, sizes_of
+
+MOST_VERSIONS_AT_ONCE = 2**40  # a version near the largest would be the last
+
+Start = tuple[int, NDArray[Any]]
+
+
+class Intake:
+    """Checks weights and start states against the task.
+
+    Args:
+        task: the compiled task.
+    """
+
+    def __init__(self, task: CompiledTask) -> None:
+        self._config, self._dfa_states = task.config, task.dfa.states
+        self._sizes: NetworkSizes | None = None
+
+    def weights_trouble(
+        self, weights: Mapping[str, NDArray[Any]], version: int, records: Iterable[LearnerRecord]
+    ) -> str:
+        """Why weights cannot be used; empty if they can.
+
+        The settings do not say how long observations and actions are. The weights accepted first do, ``records`` of
+        a resumed run included.
+        """
+        records = list(records)
+        newest = max(record.version for record in records)
+        if version > newest + MOST_VERSIONS_AT_ONCE:
+            return f"weights of version {version} are dropped: the newest version known is {newest}"
+        try:
+            self._sizes = check_weights(weights, self._config, self._dfa_states, self._sizes or self._known(records))
+        except PolicyError as error:
+            return f"weights of version {version} are dropped, and those known before are kept: {error}"
+        return ""
+
+    def _known(self, records: Iterable[LearnerRecord]) -> NetworkSizes | None:
+        for record in records:
+            with suppress(PolicyError):  # as a resumed run may hold them
+                return sizes_of(record.weights, self._config, self._dfa_states)
+        return None
+
+
+def usable(starts: Iterable[Start]) -> list[Start]:
+    """The start states that hold finite numbers only."""
+    return [(q, state) for q, state in starts if state.dtype.kind != "f" or np.isfinite(state).all()]

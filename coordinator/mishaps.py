@@ -1,0 +1,54 @@
+"""Unexpected exceptions in parts that a training can do without: told once, with their place, and survived."""
+
+from __future__ import annotations
+
+import sys
+import traceback
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
+from pathlib import Path
+
+from t4nmtd_dist.errors import RunError
+from t4nmtd_dist.wire.fields import shortened
+from t4nmtd_dist.wire.notices import Notices, Tell
+
+
+class Mishaps:
+    """Says of an unexpected exception what failed and where; the traceback goes to stderr, which is the log.
+
+    The same exception at the same place is told once in ten minutes.
+
+    Args:
+        tell: called with a line for the event log.
+    """
+
+    def __init__(self, tell: Tell) -> None:
+        self._notices = Notices(tell)
+        self._traced = Notices(_write)
+
+    @contextmanager
+    def survived(self, what: str) -> Iterator[list[Exception]]:
+        """Go on after an exception of the block; the list holds it then.
+
+        Args:
+            what: what is done in the block, as in "publishing the state".
+
+        Raises:
+            RunError: as raised in the block: it tells the user what to do.
+        """
+        caught: list[Exception] = []
+        try:
+            yield caught
+        except RunError:
+            raise
+        except Exception as error:
+            caught.append(error)
+            frame = traceback.extract_tb(error.__traceback__)[-1]
+            place = f"{Path(frame.filename).name}:{frame.lineno}"
+            self._notices.once(shortened(f"unexpected {type(error).__name__} while {what} ({place}): {error}"))
+            self._traced.once("".join(traceback.format_exception(error)))
+
+
+def _write(text: str) -> None:
+    with suppress(OSError):
+        print(text, file=sys.stderr, flush=True)

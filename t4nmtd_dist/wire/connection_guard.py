@@ -1,0 +1,191 @@
+"""Bounds what the connections of a bound socket make libzmq buffer, and how many there are.
+
+libzmq hands a message over once its last frame has arrived, and its own limits are per frame. So this guard looks at
+the connections themselves: the kernel counts the bytes that each has received, and what was received and not yet handed
+over lies in a buffer. A connection that exceeds its limit is shut down, which frees the buffer.
+"""
+
+from __future__ import annotations
+
+import ctypes
+import os
+import threading
+import time
+from collections.abc import Callable
+from contextlib import suppress
+from dataclasses import dataclass
+from pathlib import Path
+
+import zmq
+from zmq.utils.monitor import recv_monitor_message
+
+from t4nmtd_dist.wire.connections import Connection, connection
+from t4nmtd_dist.wire.handshake import Outcome, outcome_of
+from t4nmtd_dist.wire.limits import Limits
+from t4nmtd_dist.wire.notices import Tell
+from t4nmtd_dist.wire.sockets import MONITORED, Socket
+
+WATCHED = MONITORED | zmq.EVENT_ACCEPTED | zmq.EVENT_CLOSED
+QUIET_MS, BUSY_MS = 20, 2
+BUSY_BYTES = 4096  # received since the last look: look again soon
+SMALL_FRAMES_BYTES = 64 << 10  # from which on growth of the process is blamed on what is unread
+GROWTH_BYTES = 32 << 20
+TRIM_AFTER_S = 0.5  # in which libzmq frees what it had buffered
+TOTAL = 2  # all connections together may have this many times unread what one may
+
+
+@dataclass
+class _Account:
+    """What is known of one connection.
+
+    Attributes:
+        connection: the TCP connection.
+        base: bytes received when everything that was complete had been handed over.
+        delivered: bytes of messages handed over since.
+        received: bytes received at the last look.
+    """
+
+    connection: Connection
+    base: int = 0
+    delivered: int = 0
+    received: int = 0
+
+    @property
+    def unread(self) -> int:
+        """Bytes received and not handed over, framing included."""
+        return max(0, self.received - self.base - self.delivered)
+
+
+class ConnectionGuard:
+    """Watches all connections of one bound socket in a thread of its own; make it before the socket is used.
+
+    Args:
+        socket: the bound socket.
+        limits: what each connection may do.
+        tell: called from that thread with a line about each connection that is shut down.
+        failed: called from that thread with the outcome of each handshake that fails.
+    """
+
+    def __init__(
+        self, socket: Socket, limits: Limits, tell: Tell, failed: Callable[[Outcome], None] = lambda outcome: None
+    ) -> None:
+        self._socket, self._limits, self._tell, self._failed = socket, limits, tell, failed
+        self._monitor: Socket = socket.get_monitor_socket(WATCHED)
+        self._accounts: dict[Connection, _Account] = {}
+        self._open: dict[int, Connection] = {}
+        self._memory_before = 0
+        self._trim_at: float | None = None
+        self._lock = threading.Lock()
+        self._stop = threading.Event()
+        self._thread = threading.Thread(target=self._loop, name="connection-guard", daemon=True)
+        self._thread.start()
+
+    def close(self) -> None:
+        """Stop watching; call it before the socket is closed."""
+        self._stop.set()
+        self._thread.join(timeout=2.0)
+        self._socket.disable_monitor()
+        self._monitor.close(0)
+
+    def delivered(self, over: Connection | None, size: int) -> None:
+        """A message of ``size`` bytes over a connection was handed over."""
+        with self._lock:
+            account = self._accounts.get(over) if over is not None else None
+            if account is not None:
+                account.delivered += size
+
+    def drained(self) -> None:
+        """No complete message waits any more: what is buffered now belongs to messages under way."""
+        with self._lock:
+            for account in self._accounts.values():
+                if account.delivered:
+                    account.base, account.delivered = account.connection.received() or account.received, 0
+
+    def _loop(self) -> None:
+        pause_ms = QUIET_MS
+        while not self._stop.is_set():
+            if self._monitor.poll(pause_ms):
+                self._follow_connections()
+            pause_ms = BUSY_MS if self._look() else QUIET_MS
+            if self._trim_at is not None and time.monotonic() > self._trim_at:
+                self._trim_at = None
+                _give_memory_back()
+
+    def _follow_connections(self) -> None:
+        while self._monitor.poll(0):
+            event = recv_monitor_message(self._monitor)
+            kind, descriptor = int(event["event"]), int(event["value"])
+            if kind == zmq.EVENT_ACCEPTED:
+                self._accept(descriptor)
+            elif kind in (zmq.EVENT_DISCONNECTED, zmq.EVENT_CLOSED):
+                self._forget(descriptor)
+            outcome = outcome_of(event)
+            if outcome in ("broken", "mechanism"):
+                self._failed(outcome)
+
+    def _accept(self, descriptor: int) -> None:
+        accepted = connection(descriptor)
+        self._forget(descriptor)
+        if accepted is None:
+            return
+        with self._lock:
+            account = self._accounts[accepted] = _Account(accepted)
+            self._open[descriptor] = accepted
+            if len(self._accounts) > self._limits.connections:
+                self._end(account, f"ended a connection: more than {self._limits.connections} are open")
+
+    def _forget(self, descriptor: int) -> None:
+        with self._lock:
+            ended = self._open.pop(descriptor, None)
+            if ended is not None:
+                self._accounts.pop(ended, None)
+
+    def _look(self) -> bool:
+        """Count what has come, and end who sent too much; whether much came."""
+        busy = False
+        with self._lock:
+            for account in list(self._accounts.values()):
+                received = account.connection.received()
+                if received is None:
+                    continue
+                busy |= received > account.received + BUSY_BYTES
+                account.received = received
+                if account.unread > self._limits.unread_bytes:
+                    self._end(account, self._too_much())
+            self._bound_all()
+        return busy
+
+    def _bound_all(self) -> None:
+        """Of all connections together, end the one with most unread if that is too much, or costs too much memory."""
+        most = max(self._accounts.values(), key=lambda account: account.unread, default=None)
+        unread = sum(account.unread for account in self._accounts.values())
+        if most is None or unread < SMALL_FRAMES_BYTES:
+            self._memory_before = 0
+            return
+        memory = _resident()
+        self._memory_before = min(self._memory_before or memory, memory)
+        grown = memory - self._memory_before - unread
+        if unread > TOTAL * self._limits.unread_bytes or grown > GROWTH_BYTES:
+            self._end(most, self._too_much())
+            self._memory_before = 0
+
+    def _too_much(self) -> str:
+        mebibytes = self._limits.unread_bytes / 2**20
+        return f"ended a connection that sent more than can be taken in: at most {mebibytes:.3g} MiB may be unread"
+
+    def _end(self, account: _Account, text: str) -> None:
+        self._accounts.pop(account.connection, None)
+        if account.connection.end():
+            self._trim_at = time.monotonic() + TRIM_AFTER_S
+            self._tell(text)
+
+
+def _resident() -> int:
+    """Bytes of this process that are in memory (Linux)."""
+    return int(Path("/proc/self/statm").read_text(encoding="ascii").split()[1]) * os.sysconf("SC_PAGESIZE")
+
+
+def _give_memory_back() -> None:
+    """Return freed memory to the system: glibc keeps the many small pieces that subscriptions and frames were."""
+    with suppress(AttributeError, OSError, TypeError):
+        ctypes.CDLL(None).malloc_trim(0)
