@@ -34,14 +34,15 @@ def write_result(recorder: Recorder, keeper: Keeper, tell: Callable[[str], None]
         pause: waits for a moment; False once there is no use in waiting any longer.
 
     Raises:
-        RunError: if the policy or the summary cannot be written; the newest checkpoint is kept, for a resume.
+        RunError: if the policy or the summary cannot be written; the newest checkpoint is kept, for a resume. Whatever
+            else may be raised on the way is raised after that, too.
     """
     try:
         if not recorder.solved:
             recorder.close()
         else:
             _write_patiently(recorder, keeper, tell, pause)
-    except RunError:
+    except Exception:
         keeper.finish(written=False)
         raise
     keeper.finish(written=True)

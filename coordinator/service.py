@@ -123,7 +123,8 @@ class CoordinatorService:
             self._turn()
         pause = patience(self._turn, lambda: self._impatient)
         try:
-            write_result(self._recorder, self._keeper, self._say, pause)
+            with self._mishaps.survived("writing the result"):
+                write_result(self._recorder, self._keeper, self._say, pause)
         finally:
             self._hear_keeper()
 

@@ -232,7 +232,7 @@ REFUSED_FRAMES: dict[str, tuple[list[bytes], str]] = {
     "trailing bytes": ([header() + b"\x00"], "not msgpack"),
     "not a map": ([msgpack.packb([1, 2])], "version"),
     "another version": ([header(v=PROTOCOL_VERSION + 1)], "version"),
-    "version true": ([header(v=True)], "header"),
+    "version true": ([header(v=True)], "version True"),
     "unknown header field": ([header(more=1)], "header"),
     "kind is no text": ([header(kind=7)], "header"),
     "unknown kind": ([header(kind="reboot")], "unknown message kind 'reboot'"),

@@ -256,7 +256,7 @@ def kept(talk: Evaluated) -> tuple[int, float]:
     best = talk.state.evaluations.best
     assert best is not None
     assert best.snapshot.job == best.row.job
-    assert best.snapshot.weights["p1"]["actor.0.weight"].tolist() == [best.snapshot.versions["p1"]]
+    assert (best.snapshot.weights["p1"]["actor.0.weight"] == best.snapshot.versions["p1"]).all()
     return best.row.job, best.row.success_rate
 
 

@@ -5,9 +5,8 @@ from __future__ import annotations
 from collections.abc import Generator
 from typing import Any
 
-import numpy as np
 import pytest
-from coordinator_events import Conversation, of
+from coordinator_events import Conversation, of, weights
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from small_tasks import small_task
@@ -53,7 +52,7 @@ class Alone(Conversation):
         replies = {}
         for pid in ("p1", "p2"):
             stats = LearnerStats(phase="training", interactions=self.sequence, processor_s=100.0 * self.sequence)
-            arrays = {"weights.actor.0.weight": np.full(1, self.sequence, np.float32)}
+            arrays = weights(self.sequence)
             message = self.sync_message(pid, pid, sequence=self.sequence, version=self.sequence, stats=stats)
             replies[pid] = self.answers(pid, message, arrays)[0].message
         return bool(replies[worker].evaluate)  # type: ignore[attr-defined]

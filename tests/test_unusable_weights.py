@@ -192,7 +192,7 @@ def test_a_learner_whose_start_states_are_all_unusable_waits_for_others() -> Non
 def test_a_world_that_restores_nothing_ends_with_what_is_wrong() -> None:
     many = [(2, BAD_STATE + number) for number in range(MOST_FAILURES + 5)]
     learner, _ = learner_with(*many)
-    with pytest.raises(WorldError, match=r"in a row could not be restored.*t4nmtd check"):
+    with pytest.raises(WorldError, match=r"(?s)in a row could not be restored.*t4nmtd check"):
         learner.attempts.begin()
 
 
