@@ -12,29 +12,30 @@ SIDE = 6
 MOVES = np.array([(0, 1), (1, 0), (0, -1), (-1, 0)])
 
 
-class Courier(gymnasium.Env[NDArray[np.float32], int]):
-    """Sees where everything lies from the courier's cell, and the cell itself, all divided by the side of the room."""
+class Courier(gymnasium.Env[NDArray[np.int64], int]):
+    """Sees how many rows and columns away everything lies, and its own cell: numbers that learn best as one-hot."""
 
     def __init__(self) -> None:
-        self.observation_space = gymnasium.spaces.Box(-1, 1, (8,))
+        offsets, cell = [2 * SIDE - 1] * 6, [SIDE] * 2
+        self.observation_space: Any = gymnasium.spaces.MultiDiscrete(offsets + cell)
         self.action_space: Any = gymnasium.spaces.Discrete(len(MOVES))
         self.cells = np.zeros((4, 2), np.int64)  # courier, parcel, door, puddle: row and column
 
-    def reset(self, *, seed: int | None = None, options: Any = None) -> tuple[NDArray[np.float32], dict[str, Any]]:
+    def reset(self, *, seed: int | None = None, options: Any = None) -> tuple[NDArray[np.int64], dict[str, Any]]:
         """Put all four on different cells."""
         super().reset(seed=seed)
         chosen = self.np_random.choice(SIDE * SIDE, 4, replace=False)
         self.cells = np.stack([chosen // SIDE, chosen % SIDE], axis=1)
         return self._seen(), self._info()
 
-    def step(self, action: int) -> tuple[NDArray[np.float32], float, bool, bool, dict[str, Any]]:
+    def step(self, action: int) -> tuple[NDArray[np.int64], float, bool, bool, dict[str, Any]]:
         """Go one cell; walls hold."""
         self.cells[0] = np.clip(self.cells[0] + MOVES[action], 0, SIDE - 1)
         return self._seen(), 0.0, False, False, self._info()
 
-    def _seen(self) -> NDArray[np.float32]:
-        offsets = self.cells[1:] - self.cells[0]
-        return np.concatenate([offsets.ravel(), self.cells[0]]).astype(np.float32) / SIDE
+    def _seen(self) -> NDArray[np.int64]:
+        offsets = self.cells[1:] - self.cells[0] + SIDE - 1
+        return np.concatenate([offsets.ravel(), self.cells[0]])
 
     def _info(self) -> dict[str, Any]:
         on = (self.cells[1:] == self.cells[0]).all(axis=1)

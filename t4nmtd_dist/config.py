@@ -19,6 +19,7 @@ import msgspec
 
 from t4nmtd_dist.action_modes import EvaluationActions
 from t4nmtd_dist.errors import ConfigError
+from t4nmtd_dist.setting_ranges import check_ranges
 
 Shaping = Literal["paper", "potential", "subtask"]
 AcceptanceSetting = Literal["auto", "first", "end"]
@@ -254,7 +255,7 @@ class TaskConfig:
     learner_given: frozenset[str] = field(default=frozenset(), compare=False, repr=False)
 
     def __post_init__(self) -> None:
-        _check_ranges(self)
+        check_ranges(self)
 
     def to_dict(self) -> dict[str, Any]:
         """Plain data that ``task_config`` reads back; fit for TOML and the wire."""
@@ -270,97 +271,6 @@ def _plain(value: Any) -> Any:
     return msgspec.to_builtins(value)
 
 
-def _check_ranges(task: TaskConfig) -> None:
-    positive = {
-        "environment.horizon": task.environment.horizon,
-        "decomposition.time_limit": task.decomposition.time_limit,
-        "learner.attempt_steps": task.learner.attempt_steps,
-        "learner.start_capacity": task.learner.start_capacity,
-        "learner.reward_scale": task.learner.reward_scale,
-        "ppo.worlds": task.ppo.worlds,
-        "ppo.rollout": task.ppo.rollout,
-        "ppo.epochs": task.ppo.epochs,
-        "ppo.minibatch": task.ppo.minibatch,
-        "ppo.learning_rate": task.ppo.learning_rate,
-        "sac.worlds": task.sac.worlds,
-        "sac.steps_per_iteration": task.sac.steps_per_iteration,
-        "sac.replay_rows": task.sac.replay_rows,
-        "sac.batch": task.sac.batch,
-        "sac.updates_per_step": task.sac.updates_per_step,
-        "sac.n_step": task.sac.n_step,
-        "sac.learning_rate": task.sac.learning_rate,
-        "sac.tau": task.sac.tau,
-        "sac.actor_average": task.sac.actor_average,
-        "evaluation.episodes": task.evaluation.episodes,
-        "evaluation.every": task.evaluation.every,
-        "evaluation.in_a_row": task.evaluation.in_a_row,
-        "max_interactions": task.max_interactions,
-    }
-    shares = {
-        "learner.gamma": task.learner.gamma,
-        "ppo.gae_lambda": task.ppo.gae_lambda,
-        "sac.relabel_share": task.sac.relabel_share,
-        "sac.peer_share": task.sac.peer_share,
-        "sac.success_share": task.sac.success_share,
-        "sac.wave_share": task.sac.wave_share,
-        "sac.hold_share": task.sac.hold_share,
-        "sac.alpha_floor": task.sac.alpha_floor,
-        "sac.tau": task.sac.tau,
-        "sac.actor_average": task.sac.actor_average,
-        "sac.learning_rate_decay": task.sac.learning_rate_decay,
-        "high_level.alpha": task.high_level.alpha,
-        "high_level.epsilon": task.high_level.epsilon,
-    }
-    for key, number in (
-        ("learner.error_penalty", task.learner.error_penalty),
-        ("sac.initial_alpha", task.sac.initial_alpha),
-    ):
-        if number < 0:
-            raise ConfigError(f"{key} = {number}: expected 0 or more")
-    for key, number in positive.items():
-        if not number > 0:
-            raise ConfigError(f"{key} = {number}: expected a number above 0")
-    for key, share in shares.items():
-        if not 0 <= share <= 1:
-            raise ConfigError(f"{key} = {share}: expected a number from 0 to 1")
-    if not 0 < task.evaluation.success <= 1:
-        raise ConfigError(f"evaluation.success = {task.evaluation.success}: expected a number above 0 and at most 1")
-    _check_hidden(task.learner.hidden)
-    _check_replay(task.sac)
-    _check_groups(task)
-    _check_names(task)
-
-
-def _check_hidden(hidden: tuple[int, ...]) -> None:
-    if not hidden or min(hidden) < 1:
-        raise ConfigError(f"learner.hidden = {list(hidden)}: expected one layer or more, each at least 1 wide")
-
-
-def _check_replay(sac: SACConfig) -> None:
-    kept = sac.replay_rows // sac.worlds * sac.worlds
-    if kept < max(sac.worlds, sac.learning_starts):
-        raise ConfigError(
-            f"sac.replay_rows = {sac.replay_rows}: expected at least sac.learning_starts = {sac.learning_starts}, "
-            f"in whole steps of sac.worlds = {sac.worlds} copies; otherwise learning never starts"
-        )
-
-
-def _check_groups(task: TaskConfig) -> None:
-    for group in task.exclusive:
-        strange = [name for name in group if name not in task.propositions]
-        if strange:
-            raise ConfigError(f"exclusive names {strange[0]!r}; declared propositions: {', '.join(task.propositions)}")
-
-
-def _check_names(task: TaskConfig) -> None:
-    taken = sorted(RESERVED & {name.casefold() for name in task.propositions})
-    if taken:
-        raise ConfigError(
-            f"a proposition is called {taken[0]!r}, as a process or a file of every run is; give it another name"
-        )
-
-
-RESERVED = {"evaluator", "evaluations"}
 ALGORITHM_DEFAULTS: Mapping[str, Mapping[str, Any]] = {
     "sac": {
         "learner": {
