@@ -1,5 +1,8 @@
 """The errors that a user can meet; each message says what was expected, what came and what to do."""
 
+BROKEN_ENVIRONMENT = 4
+"""Exit code of a worker whose environment failed; for all else that a user can mend it is 2."""
+
 
 class T4NMTDError(Exception):
     """Anything that a user can mend; command lines print its message and exit with code 2."""

@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pytest
 
-from t4nmtd_dist.errors import RunError
+from t4nmtd_dist.errors import BROKEN_ENVIRONMENT, RunError
 from t4nmtd_dist.launch import local
 from t4nmtd_dist.launch.local import LocalProcesses
 
@@ -101,6 +101,16 @@ def test_the_last_learner_that_is_given_up_ends_the_training(
     processes.start_worker("evaluator", [SLEEPS, "--evaluate"])
     with pytest.raises(RunError, match="was killed by SIGABRT"):
         check_until(processes, 1000)
+
+
+def test_an_environment_that_fails_again_and_again_ends_the_training(processes: Launcher) -> None:
+    processes.start_worker("waiting", [SLEEPS])
+    processes.start_worker(
+        "broken", [f"import sys; print('my.py, line 7', file=sys.stderr); sys.exit({BROKEN_ENVIRONMENT})"]
+    )
+    with pytest.raises(RunError, match=r"(?s)worker broken ended with code 4 and is not started again.*my.py, line 7"):
+        check_until(processes, 1000)
+    assert len(told(processes)) == local.MOST_REFUSALS
 
 
 def test_an_evaluator_that_refuses_ends_no_training(processes: Launcher) -> None:

@@ -12,7 +12,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from t4nmtd_dist.errors import ConfigError, RunError
+from t4nmtd_dist.errors import BROKEN_ENVIRONMENT, ConfigError, RunError
 from t4nmtd_dist.runs.directory import ENDPOINTS_FILE
 from t4nmtd_dist.runs.file_names import file_name
 from t4nmtd_dist.runs.links import open_to_append
@@ -22,6 +22,7 @@ END_DEADLINE_S = 20.0  # time in which workers write their last checkpoints; mos
 RESTART_PAUSE_S = 0.5
 MOST_RESTARTS = 20
 MOST_REFUSALS = 3
+REFUSALS = (2, BROKEN_ENVIRONMENT)
 FORGIVEN_S = 600.0  # a worker that ran so long counts its refusals anew
 LONGEST_NAME = 100
 KILLED_BY = (signal.SIGKILL, signal.SIGTERM, signal.SIGINT, signal.SIGHUP)  # somebody's wish, not a crash
@@ -55,7 +56,7 @@ class _Child:
     """A process of ours, how often it was started again, and how long its log was before that.
 
     Attributes:
-        refusals: how often it has ended with code 2, the code for what a user can mend.
+        refusals: how often it has ended with a code for what a user can mend.
         given_up: whether it is not started again any more.
         log_size: bytes of its log when the process was started.
         began: when its process was started, in seconds of a clock that only grows.
@@ -76,8 +77,8 @@ class _Child:
 
     @property
     def refused_at_start(self) -> bool:
-        """Whether its first process has just ended with code 2, before it can have learned much."""
-        first = self.restarts == 0 and self.restart_at is not None and self.process.returncode == 2
+        """Whether its first process has just refused, before it can have learned much."""
+        first = self.restarts == 0 and self.restart_at is not None and self.process.returncode in REFUSALS
         return first and self.lived_s < START_DEADLINE_S
 
     @property
@@ -153,12 +154,19 @@ class LocalProcesses:
         return True
 
     def _check_learners(self) -> None:
-        """End when no learner is left: all were given up, or each has ended with code 2 before any got to work."""
+        """End when no learner is left: all were given up, or each has refused before any got to work.
+
+        End as well when a learner was given up because of the environment, which all learners have in common: a
+        sub-task without a learner may leave the others waiting for ever.
+        """
         learners = [child for child in self._children.values() if child.learns]
         if not learners:
             return
         if all(child.refused_at_start for child in learners) or all(child.given_up for child in learners):
             raise RunError(_obituary(learners[0]))
+        for child in learners:
+            if child.given_up and child.process.returncode == BROKEN_ENVIRONMENT:
+                raise RunError(_obituary(child))
 
     def _revive(self, child: _Child) -> None:
         now = time.monotonic()
@@ -177,7 +185,7 @@ class LocalProcesses:
     def _count_refusal(self, child: _Child) -> None:
         if child.lived_s > FORGIVEN_S:
             child.refusals = 0
-        child.refusals += child.process.returncode == 2
+        child.refusals += child.process.returncode in REFUSALS
         child.given_up = child.refusals >= MOST_REFUSALS or child.restarts >= MOST_RESTARTS
 
     def coordinator_exit_code(self, timeout_s: float) -> int | None:
