@@ -8,9 +8,8 @@ import subprocess
 from collections.abc import Iterator
 from pathlib import Path
 
-import numpy as np
 import pytest
-from coordinator_events import Conversation
+from coordinator_events import Conversation, weights
 from processes import Processes
 from small_tasks import small_task
 from test_full_disk import files_end_after
@@ -31,13 +30,14 @@ from t4nmtd_dist.runs.directory import RunDirectory
 from t4nmtd_dist.runs.resuming import Identity, read_stopped_run, write_identity
 from t4nmtd_dist.wire.messages import EvaluationJob, EvaluationPoll, LearnerStats
 
-DISK = 4_000_000
-WEIGHTS = {"weights.actor.0.weight": np.ones((400, 400), np.float32), "weights.critic.0": np.ones(1000, np.float32)}
+DISK = 8_000_000
+HIDDEN = "learner.hidden=[400, 400]"
+WEIGHTS = weights(1.0, HIDDEN)
 ABOUT = {"run_id": "", "place": "coordinator"}
 
 
 def begun() -> Conversation:
-    talk = Conversation()
+    talk = Conversation(HIDDEN)
     talk.claim("p1")
     talk.claim_evaluator("e")
     return talk
