@@ -7,6 +7,7 @@ import json
 from pathlib import Path
 from typing import Any
 
+import guarded_grid
 import numpy as np
 import pytest
 from guarded_grid import STAY
@@ -289,6 +290,38 @@ def test_check_says_so(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> No
     assert found["endings"]["error"] + found["endings"].get("accepted", 0) == found["episodes"]
     Check(str(path), steps=200).run()
     assert "end of the episode" in " ".join(capsys.readouterr().out.split())
+
+
+def test_check_counts_the_remaining_time(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    path = own_task(tmp_path, TASK.replace("FORMULA", SAFETY))
+    Check(str(path), steps=200, as_json=True).run()
+    assert json.loads(capsys.readouterr().out)["observation_size"] == 25 + 1
+    Check(str(path), steps=200).run()
+    assert "25 numbers, one-hot, and the remaining time" in " ".join(capsys.readouterr().out.split())
+
+
+@pytest.mark.parametrize(("options", "warned"), [("ends_at = 1", True), ("fatal = true", False)])
+def test_check_warns_only_of_early_ends_that_count_as_accepted(
+    options: str, warned: bool, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    text = TASK.replace("FORMULA", SAFETY).replace("[evaluation]", f"options = {{ {options} }}\n[evaluation]")
+    Check(str(own_task(tmp_path, text)), steps=200, as_json=True).run()
+    found = json.loads(capsys.readouterr().out)
+    assert found["episodes"] > 0
+    assert any("before the horizon, and they count as accepted" in text for text in found["warnings"]) == warned
+
+
+def test_check_refuses_an_environment_that_reports_last_itself(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    names = ["hazard", "alarm", "goal", LAST]
+    monkeypatch.setattr(guarded_grid.GuardedGrid, "propositions", names, raising=False)
+    path = own_task(tmp_path, TASK.replace("FORMULA", SAFETY))
+    with pytest.raises(WorldError, match="reports 'last', which is the end of the episode"):
+        prepared(compile_task(load_task(str(path)), translator="python"))
+    assert Check(str(path), steps=100, as_json=True).run() == 2
+    (problem,) = json.loads(capsys.readouterr().out)["problems"]
+    assert "reports 'last', which is the end of the episode" in problem
 
 
 def test_check_warns_of_a_discount_that_forgets_the_end(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
