@@ -25,7 +25,7 @@ from t4nmtd_dist.cli.commands import Check, Inspect
 from t4nmtd_dist.compiled import CompiledTask, compile_task
 from t4nmtd_dist.decomposition import Keep, decompose
 from t4nmtd_dist.environments.preparation import prepared
-from t4nmtd_dist.errors import FormulaError, WorldError
+from t4nmtd_dist.errors import FormulaError, PolicyError, WorldError
 from t4nmtd_dist.evaluation import Evaluator
 from t4nmtd_dist.launch.serial import SerialRun
 from t4nmtd_dist.policy import GlobalPolicy, load
@@ -262,6 +262,14 @@ def test_a_policy_counts_the_steps_itself(safe: GlobalPolicy) -> None:
     safe.act(observation, [])
     assert not safe.accepts([])  # it is not over yet
     assert safe.accepts([], ended=True)  # the environment's own limit
+    assert safe.failed(["hazard"])
+    assert not safe.failed([])
+
+
+def test_the_remaining_time_is_no_number_of_the_observation(safe: GlobalPolicy) -> None:
+    safe.reset()
+    with pytest.raises(PolicyError, match="an observation of 3 numbers, where the policy learned from 25;"):
+        safe.act(np.zeros(3, np.float32), [])
 
 
 def test_perturbed_starts_keep_their_time(safe: GlobalPolicy) -> None:
