@@ -52,11 +52,11 @@ def play(path: str) -> bool:
 
     policy, env = load(path), make()
     observation, _ = env.reset()
-    q, names = policy.dfa.initial, set[str]()
+    solved, names = False, set[str]()
     for _ in range(policy.config.environment.horizon):
         observation, _, terminated, truncated, info = env.step(policy.act(observation, names))
-        names = labels(observation, info)
-        q = policy.dfa.step(q, names)
-        if q in policy.dfa.accepting | policy.dfa.error or terminated or truncated:
+        names, ended = labels(observation, info), terminated or truncated
+        solved = policy.accepts(names, ended=ended)
+        if solved or ended or policy.failed(names, ended=ended):
             break
-    return q in policy.dfa.accepting
+    return solved

@@ -14,12 +14,12 @@ def play(path: str) -> bool:
     policy = load(path)
     env = gymnasium.make("envs:t4nmtd/FrozenLake-v0", goals=1, max_episode_steps=200)
     observation, info = env.reset()
-    q, over = policy.dfa.initial, False
-    while q not in policy.dfa.accepting and not over:
+    solved = over = False
+    while not (solved or over):
         observation, _, terminated, truncated, info = env.step(policy.act(observation, info["labels"]))
-        q, over = policy.dfa.step(q, info["labels"]), terminated or truncated
-    solved = q in policy.dfa.accepting
-    print(f"DFA state {q}: {'solved' if solved else 'not solved'}")
+        labels, ended = info["labels"], terminated or truncated
+        solved, over = policy.accepts(labels, ended=ended), ended or policy.failed(labels, ended=ended)
+    print("solved" if solved else "not solved")
     return solved
 
 

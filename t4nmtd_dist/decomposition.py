@@ -10,6 +10,7 @@ from typing import Any, Literal, get_args
 
 import numpy as np
 
+from t4nmtd_dist.automata.acceptance import unfulfilled_states
 from t4nmtd_dist.automata.cubes import Cube, TruthTable, prime_implicants
 from t4nmtd_dist.automata.deadline import Deadline
 from t4nmtd_dist.automata.dfa import DFA
@@ -113,7 +114,8 @@ def decompose(
 
     Every mode starts from the same transitions: those of the automaton without the letters that ``exclusive``
     rules out, less self-loops, transitions out of F and transitions into E; ``prune`` leaves out those that
-    lie on no simple path from q0 to F. What differs is who gets them:
+    lie on no simple path from q0 to F, except those that make a formula true again whose trace ends with the
+    episode (``automata.acceptance.unfulfilled_states``). What differs is who gets them:
 
     - ``objective``: the literals of the guard's prime implicants that do not hold already while waiting in q;
       of each implicant the positive ones, or if it has none, the negative ones. ``keep="helpful"`` then leaves
@@ -140,7 +142,7 @@ def decompose(
     reduced = _solvable(dfa, exclusive)
     if mode == "literal":
         dfa.find_edges(deadline)
-    goals = _goals(reduced, dfa.initial, prune, deadline)
+    goals = _goals(dfa, reduced, prune, deadline)
     allowed = allowed_letters(dfa, exclusive)
     dealt = _dealt(goals, dfa, allowed, literal=mode == "literal", deadline=deadline)
     if mode == "literal" or keep == "all":
@@ -175,10 +177,14 @@ def _decomposition(subtasks: Mapping[str, Sequence[Transition]], left_out: Seque
     return Decomposition({pid: tuple(taus) for pid, taus in subtasks.items()}, tuple(left_out))
 
 
-def _goals(reduced: ReducedAutomaton, initial: int, prune: bool, deadline: Deadline | None) -> list[Transition]:
+def _goals(dfa: DFA, reduced: ReducedAutomaton, prune: bool, deadline: Deadline | None) -> list[Transition]:
     """The transitions that sub-tasks may aim at, sorted."""
     progress = reduced.progress
-    return sorted(edges_on_simple_paths(progress, initial, reduced.accepting, deadline)) if prune else list(progress)
+    if not prune:
+        return list(progress)
+    unfulfilled = unfulfilled_states(dfa)
+    fulfilling = {(q, target) for q, target in progress if q in unfulfilled and target not in unfulfilled}
+    return sorted(edges_on_simple_paths(progress, dfa.initial, reduced.accepting, deadline) | fulfilling)
 
 
 def _dealt(

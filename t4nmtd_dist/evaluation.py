@@ -68,6 +68,9 @@ class Evaluator:
     def run(self, policy: GlobalPolicy, *, perturb: int = 0, actions: ActionMode | None = None) -> EvaluationResult:
         """One evaluation: every episode from the true reset with a fresh step counter.
 
+        Where the trace ends with the episode (docs/acceptance.md), the random actions of ``perturb`` count as steps:
+        the start states carry their time, so that these episodes end that much earlier.
+
         Args:
             policy: what acts.
             perturb: each episode begins with k random actions, k uniform in 0..perturb. Actions that end the episode

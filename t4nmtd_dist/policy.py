@@ -26,6 +26,8 @@ from t4nmtd_dist.runs.exported import ACTORS_FILE, POLICY_FILE, POLICY_FORMAT, r
 from t4nmtd_dist.timed_world import remaining_share
 from t4nmtd_dist.worlds import Observations
 
+FLATTEN = "flatten observations that are one-hot or a Dict by t4nmtd_dist.environments.observations.flattener"
+
 ActorWeights = Mapping[str, Mapping[str, NDArray[Any]]]
 
 
@@ -169,9 +171,16 @@ class GlobalPolicy:
         row = self._row(observation)
         found, known = self.actions(row, np.array([self._q], np.int32), (rng or self._rng) if sampling else None)
         if not known[0]:
-            kind = "accepting" if self._q in self.dfa.accepting else "one for which nothing was learned"
-            raise PolicyError(f"no action at DFA state {self._q}: it is {kind}; call reset() to begin an episode")
+            raise PolicyError(
+                f"no action at DFA state {self._q}: it is {self._kind()}; call reset() to begin an episode"
+            )
         return found[0]
+
+    def _kind(self) -> str:
+        """Of which kind the DFA state is, where there is no action."""
+        if self._q in self.dfa.accepting:
+            return "accepting"
+        return "an error state" if self._q in self.dfa.error else "one for which nothing was learned"
 
     def accepts(self, labels: Iterable[str], *, ended: bool = False) -> bool:
         """Whether the task is solved after the step that followed the last action.
@@ -182,23 +191,37 @@ class GlobalPolicy:
         """
         return self._after(labels, ended=ended) in self.dfa.accepting
 
+    def failed(self, labels: Iterable[str], *, ended: bool = False) -> bool:
+        """Whether the task can no longer be solved after the step that followed the last action.
+
+        Args:
+            labels: names of the propositions that are true after that step.
+            ended: as for ``accepts``.
+        """
+        return self._after(labels, ended=ended) in self.dfa.error
+
     def _after(self, labels: Iterable[str], *, ended: bool = False) -> int:
         """The DFA state after the step that followed the last action."""
         ended = ended or self._steps + 1 >= self.config.environment.horizon
         return self.dfa.step(self._q, [*labels, LAST] if ended else labels)
 
     def _row(self, observation: NDArray[Any]) -> Observations:
-        row = np.asarray(observation, np.float32).reshape(1, -1)
-        if self._timed:
-            share = remaining_share(self._steps, self.config.environment.horizon)
-            row = np.concatenate([row, share.reshape(1, 1)], axis=1)
-        learned_from = self._observation_size()
+        try:
+            row = np.asarray(observation, np.float32).reshape(1, -1)
+        except (TypeError, ValueError) as error:
+            raise PolicyError(
+                f"an observation of type {type(observation).__name__} ({error}); expected numbers: {FLATTEN}"
+            ) from None
+        inputs = self._observation_size()
+        learned_from = None if inputs is None else inputs - self._timed
         if learned_from not in (None, row.shape[1]):
             raise PolicyError(
-                f"an observation of {row.shape[1]} numbers, where the policy learned from {learned_from}; "
-                "flatten observations that are one-hot or a Dict by t4nmtd_dist.environments.observations.flattener"
+                f"an observation of {row.shape[1]} numbers, where the policy learned from {learned_from}; {FLATTEN}"
             )
-        return row
+        if not self._timed:
+            return row
+        share = remaining_share(self._steps, self.config.environment.horizon)
+        return np.concatenate([row, share.reshape(1, 1)], axis=1)
 
     def _observation_size(self) -> int | None:
         """How many numbers its actors see besides the DFA state; None if it has no actor."""

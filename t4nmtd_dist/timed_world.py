@@ -40,6 +40,16 @@ def remaining_share(steps: NDArray[np.int64] | int, horizon: int) -> NDArray[np.
     return share
 
 
+def check_last_is_free(propositions: Sequence[str]) -> None:
+    """Look whether an environment leaves the name ``last`` to the end of the episode.
+
+    Raises:
+        WorldError: if it reports such a proposition itself.
+    """
+    if LAST in propositions:
+        raise WorldError(f"the environment reports {LAST!r}, which is the end of the episode; give it another name")
+
+
 class TimedWorld:
     """A world that counts the steps of every copy's episode.
 
@@ -56,8 +66,7 @@ class TimedWorld:
     """
 
     def __init__(self, world: BatchedWorld, horizon: int) -> None:
-        if LAST in world.propositions:
-            raise WorldError(f"the environment reports {LAST!r}, which is the end of the episode; give it another name")
+        check_last_is_free(world.propositions)
         self._world, self._horizon = world, horizon
         self.count = world.count
         self.propositions: tuple[str, ...] = (*world.propositions, LAST)

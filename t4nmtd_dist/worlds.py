@@ -235,8 +235,6 @@ class LoopedWorld:
             done = self._copies[i].step(actions[i])
             self._observations[i], self._labels[i] = done.observation, done.labels
             self._terminated[i], self._truncated[i] = done.terminated, done.truncated
-        if not np.isfinite(self._observations).all():
-            raise WorldError("an observation holds NaN or infinity, from which nothing can be learned")
         return WorldStep(
             self._observations.copy(), self._labels.copy(), self._terminated.copy(), self._truncated.copy()
         )

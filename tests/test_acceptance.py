@@ -7,6 +7,7 @@ import json
 from pathlib import Path
 from typing import Any
 
+import guarded_grid
 import numpy as np
 import pytest
 from guarded_grid import STAY
@@ -22,8 +23,9 @@ from t4nmtd_dist.automata.formula import parse, satisfies
 from t4nmtd_dist.automata.translate import translate
 from t4nmtd_dist.cli.commands import Check, Inspect
 from t4nmtd_dist.compiled import CompiledTask, compile_task
+from t4nmtd_dist.decomposition import Keep, decompose
 from t4nmtd_dist.environments.preparation import prepared
-from t4nmtd_dist.errors import FormulaError, WorldError
+from t4nmtd_dist.errors import FormulaError, PolicyError, WorldError
 from t4nmtd_dist.evaluation import Evaluator
 from t4nmtd_dist.launch.serial import SerialRun
 from t4nmtd_dist.policy import GlobalPolicy, load
@@ -95,6 +97,18 @@ def test_a_violation_that_cannot_be_mended_is_an_error_at_once() -> None:
     dfa = with_last(translate(SAFETY, translator="python"))
     assert dfa.step(dfa.initial, ["hazard"]) in dfa.error
     assert dfa.step(dfa.initial, []) not in dfa.error | dfa.accepting
+
+
+@pytest.mark.parametrize("keep", ["all", "helpful"])
+def test_an_answer_is_rewarded_though_it_leads_back_to_the_start(keep: Keep) -> None:
+    """After an alarm, the goal leads back to the initial state, and so lies on no simple path from there."""
+    dfa = with_last(translate(RESPONSE, translator="python"))
+    open_again = dfa.step(dfa.initial, ["alarm"])
+    answered = dfa.step(open_again, ["goal"])
+    assert answered == dfa.initial
+    found = decompose(dfa, keep=keep)
+    assert answered in found.q_target("goal", open_again)
+    assert answered not in found.q_target(LAST, open_again)
 
 
 @pytest.mark.parametrize("name", task_names())
@@ -211,7 +225,7 @@ def policy_of(run: SerialRun, folder: Path) -> GlobalPolicy:
 
 @pytest.mark.training
 @pytest.mark.parametrize(
-    ("formula", "pids"), [(SAFETY, (LAST,)), (STAY_AT_GOAL, ("goal", LAST)), (RESPONSE, ("goal&last",))]
+    ("formula", "pids"), [(SAFETY, (LAST,)), (STAY_AT_GOAL, ("goal", LAST)), (RESPONSE, ("goal", LAST))]
 )
 def test_tasks_that_end_with_the_episode_are_learned(tmp_path: Path, formula: str, pids: tuple[str, ...]) -> None:
     task = guarded(tmp_path, formula)
@@ -248,6 +262,14 @@ def test_a_policy_counts_the_steps_itself(safe: GlobalPolicy) -> None:
     safe.act(observation, [])
     assert not safe.accepts([])  # it is not over yet
     assert safe.accepts([], ended=True)  # the environment's own limit
+    assert safe.failed(["hazard"])
+    assert not safe.failed([])
+
+
+def test_the_remaining_time_is_no_number_of_the_observation(safe: GlobalPolicy) -> None:
+    safe.reset()
+    with pytest.raises(PolicyError, match="an observation of 3 numbers, where the policy learned from 25;"):
+        safe.act(np.zeros(3, np.float32), [])
 
 
 def test_perturbed_starts_keep_their_time(safe: GlobalPolicy) -> None:
@@ -276,6 +298,38 @@ def test_check_says_so(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> No
     assert found["endings"]["error"] + found["endings"].get("accepted", 0) == found["episodes"]
     Check(str(path), steps=200).run()
     assert "end of the episode" in " ".join(capsys.readouterr().out.split())
+
+
+def test_check_counts_the_remaining_time(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    path = own_task(tmp_path, TASK.replace("FORMULA", SAFETY))
+    Check(str(path), steps=200, as_json=True).run()
+    assert json.loads(capsys.readouterr().out)["observation_size"] == 25 + 1
+    Check(str(path), steps=200).run()
+    assert "25 numbers, one-hot, and the remaining time" in " ".join(capsys.readouterr().out.split())
+
+
+@pytest.mark.parametrize(("options", "warned"), [("ends_at = 1", True), ("fatal = true", False)])
+def test_check_warns_only_of_early_ends_that_count_as_accepted(
+    options: str, warned: bool, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    text = TASK.replace("FORMULA", SAFETY).replace("[evaluation]", f"options = {{ {options} }}\n[evaluation]")
+    Check(str(own_task(tmp_path, text)), steps=200, as_json=True).run()
+    found = json.loads(capsys.readouterr().out)
+    assert found["episodes"] > 0
+    assert any("before the horizon, and they count as accepted" in text for text in found["warnings"]) == warned
+
+
+def test_check_refuses_an_environment_that_reports_last_itself(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    names = ["hazard", "alarm", "goal", LAST]
+    monkeypatch.setattr(guarded_grid.GuardedGrid, "propositions", names, raising=False)
+    path = own_task(tmp_path, TASK.replace("FORMULA", SAFETY))
+    with pytest.raises(WorldError, match="reports 'last', which is the end of the episode"):
+        prepared(compile_task(load_task(str(path)), translator="python"))
+    assert Check(str(path), steps=100, as_json=True).run() == 2
+    (problem,) = json.loads(capsys.readouterr().out)["problems"]
+    assert "reports 'last', which is the end of the episode" in problem
 
 
 def test_check_warns_of_a_discount_that_forgets_the_end(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -320,8 +320,43 @@ def test_observations_that_are_not_finite_are_refused(monkeypatch: pytest.Monkey
     world.reset(ONE, 0)
     broken = {"picture": np.full((2, LENGTH), np.nan, np.float32), "last": 0}
     monkeypatch.setattr(own_environments.Mixed, "observe", lambda _: broken)
-    with pytest.raises(WorldError, match="NaN or infinity"):
+    with pytest.raises(WorldError, match=r"observation of step\(\) holds NaN or infinity"):
         world.step(np.array([LEFT]))
+
+
+@pytest.mark.parametrize("bad", [np.nan, np.inf])
+def test_a_first_observation_that_is_not_finite_is_refused(bad: float, monkeypatch: pytest.MonkeyPatch) -> None:
+    world = world_of("Offset")
+    monkeypatch.setattr(own_environments.Offset, "observe", lambda _: np.array([bad], np.float32))
+    with pytest.raises(WorldError, match=r"observation of reset\(\) holds NaN or infinity"):
+        world.reset(ONE, 0)
+
+
+def test_an_observation_of_a_restored_state_that_is_not_finite_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
+    class Kept(own_environments.Offset):
+        propositions = NAMES
+
+        def get_state(self) -> Any:
+            return np.array([self.place])
+
+        def set_state(self, state: Any) -> Any:
+            return np.array([np.nan], np.float32)
+
+    monkeypatch.setattr(own_environments, "Kept", Kept, raising=False)
+    world = world_of("Kept", snapshots="own")
+    world.reset(ONE, 0)
+    with pytest.raises(WorldError, match="observation after restoring a state holds NaN or infinity"):
+        world.restore(ONE, world.snapshot(ONE))
+
+
+@pytest.mark.parametrize("state", [np.zeros((2, 3)), np.array(1.0), (1, 2)], ids=["matrix", "number", "tuple"])
+def test_a_snapshot_that_is_no_flat_array_is_refused(state: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(own_environments.Named, "propositions", NAMES, raising=False)
+    world = world_of("Named", snapshots="own")
+    world.reset(ONE, 0)
+    monkeypatch.setattr(own_environments.Named, "get_state", lambda _: state)
+    with pytest.raises(WorldError, match=r"get_state\(\).*expected a flat NumPy array"):
+        world.snapshot(ONE)
 
 
 # Observations

@@ -110,6 +110,29 @@ def test_acting_after_the_end_says_to_begin_an_episode(exported: Path) -> None:
         policy.act(observation, {"p2", "g"})
 
 
+def test_an_error_state_is_called_that_and_told_beforehand(exported: Path) -> None:
+    policy, observation = load(exported), np.zeros(83, np.float32)
+    policy.act(observation, set())
+    policy.act(observation, {"p2"})
+    assert policy.state == CARRYING_2
+    assert policy.failed({"p1", "p2", "p3"})
+    assert not policy.failed({"p2"})
+    assert not policy.failed({"p2", "g"})
+    assert policy.state == CARRYING_2  # asking changes nothing
+    with pytest.raises(PolicyError, match=r"an error state; call reset\(\)"):
+        policy.act(observation, {"p1", "p2", "p3"})
+
+
+@pytest.mark.parametrize(
+    "observation", [{"place": np.zeros(83)}, "north", [[1.0], [2.0, 3.0]]], ids=["dict", "text", "ragged"]
+)
+def test_observations_that_are_no_numbers_are_refused_with_advice(observation: Any, exported: Path) -> None:
+    with pytest.raises(
+        PolicyError, match=rf"type {type(observation).__name__} .*environments\.observations\.flattener"
+    ):
+        load(exported).act(observation, set())
+
+
 def test_a_whole_episode_in_the_real_lake_ends_in_acceptance(exported: Path) -> None:
     """The labels as the environment gives them drive the policy's automaton."""
     policy, env = load(exported), gym.make("envs:t4nmtd/FrozenLake-v0", goals=1)

@@ -53,6 +53,22 @@ def test_flags_that_say_what_the_run_says_are_taken(tmp_path: Path) -> None:
     assert plan.identity == plan_run(RunOptions(resume=run)).identity
 
 
+def test_the_time_to_compile_the_task_can_be_changed(tmp_path: Path) -> None:
+    plan = plan_run(RunOptions(resume=stopped_run(tmp_path), set=["decomposition.time_limit=77"]))
+    assert plan.config.decomposition.time_limit == 77
+    with pytest.raises(ConfigError, match=r"decomposition\.keep = 'all' contradicts"):
+        plan_run(RunOptions(resume=stopped_run(tmp_path / "b"), set=["decomposition.keep=all"]))
+
+
+def test_a_run_of_before_the_time_limit_gets_a_generous_one(tmp_path: Path) -> None:
+    run = stopped_run(tmp_path)
+    path = run / "config.toml"
+    text = path.read_text(encoding="utf-8")
+    assert "time_limit = 20.0\n" in text
+    path.write_text(text.replace("time_limit = 20.0\n", ""), encoding="utf-8")
+    assert plan_run(RunOptions(resume=run)).config.decomposition.time_limit == 600
+
+
 def test_a_run_of_before_actions_could_be_sampled_goes_on_greedily(tmp_path: Path) -> None:
     run = stopped_run(tmp_path)
     path = run / "config.toml"

@@ -58,6 +58,18 @@ def test_the_page_says_that_it_is_a_suggestion(tmp_path: Path, capsys: pytest.Ca
     assert "(4 -> 4 states, 9 -> 8 transitions)" in page
 
 
+def test_a_suggestion_that_may_change_the_acceptance_says_so(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    text = CORRIDOR.replace("F left & F right", "F left & F right & G(!(left & right))")
+    check(str(own_task(tmp_path, text)), steps=600, seed=0, flags=(), as_json=False)
+    page = " ".join(capsys.readouterr().out.split())
+    said = "with it, acceptance = auto may end episodes at the first accepting state; set acceptance to keep it"
+    assert said in page
+    check(str(own_task(tmp_path, CORRIDOR)), steps=600, seed=0, flags=(), as_json=False)
+    assert said not in " ".join(capsys.readouterr().out.split())
+
+
 @pytest.mark.parametrize(
     ("old", "new"),
     [

@@ -114,10 +114,12 @@ def _facts(task: CompiledTask, found: Survey) -> Table:
 def _numbers(found: Survey) -> str:
     """How many numbers learners see, and as what."""
     one_hot = sum(part.size for part in found.observations.parts if part.one_hot)
-    told = [f"{found.observation_size} numbers"]
-    told += [f"{one_hot} of them one-hot"] if 0 < one_hot < found.observation_size else []
-    told += ["one-hot"] if one_hot == found.observation_size else []
+    size = sum(part.size for part in found.observations.parts)
+    told = [f"{size} numbers"]
+    told += [f"{one_hot} of them one-hot"] if 0 < one_hot < size else []
+    told += ["one-hot"] if one_hot == size else []
     told += [("the others " if one_hot else "") + "normalised by what each learner sees"] if found.normalised else []
+    told += ["and the remaining time"] if found.observation_size > size else []
     return ", ".join(told)
 
 

@@ -111,7 +111,7 @@ def _check_same_run(options: RunOptions, stopped: StoppedRun, serial: bool) -> N
 
 
 def _check_same_settings(options: RunOptions, stopped: StoppedRun) -> TaskConfig:
-    """The run's settings, with a budget that may have been raised."""
+    """The run's settings, with a budget that may have been raised, and the time to compile the task as asked for."""
     own = stopped.config.to_dict()
     asked: Mapping[str, Any] = own
     for path in options.config:
@@ -122,7 +122,13 @@ def _check_same_settings(options: RunOptions, stopped: StoppedRun) -> TaskConfig
             f"--max-interactions {config.max_interactions}: the run to resume has a budget of "
             f"{stopped.config.max_interactions}, which can only be raised"
         )
-    wanted = dataclasses.replace(config, max_interactions=stopped.config.max_interactions).to_dict()
+    time_limit = stopped.config.decomposition.time_limit
+    same = dataclasses.replace(
+        config,
+        max_interactions=stopped.config.max_interactions,
+        decomposition=dataclasses.replace(config.decomposition, time_limit=time_limit),
+    )
+    wanted = same.to_dict()
     for key, value in _differences(own, wanted):
         raise ConfigError(
             f"{key} = {value!r} contradicts the run to resume, whose settings stay as they are; begin a new run for it"

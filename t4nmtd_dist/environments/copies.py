@@ -67,13 +67,14 @@ class EnvironmentCopy:
 
     def reset(self, seed: int | None) -> Vector:
         """Begin an episode; its first observation."""
-        return self._flatten(call_user(self._who, "reset()", self._snapshots.reset, seed))
+        seen = call_user(self._who, "reset()", self._snapshots.reset, seed)
+        return _finite(self._flatten(seen), "the observation of reset()")
 
     def step(self, action: Any) -> CopyStep:
         """Act once."""
         action = self._action(action)
         seen, _, terminated, truncated, info = call_user(self._who, "step()", self.env.step, action)
-        observation = self._flatten(seen)
+        observation = _finite(self._flatten(seen), "the observation of step()")
         cut = self._snapshots.acted(action, observation)
         return CopyStep(observation, self._labels.row(seen, info), bool(terminated), bool(truncated) or cut)
 
@@ -91,7 +92,8 @@ class EnvironmentCopy:
         Raises:
             WorldError: if it is no snapshot of this environment.
         """
-        return call_user(self._who, "set_state()", self._snapshots.set, state)
+        observation = call_user(self._who, "set_state()", self._snapshots.set, state)
+        return _finite(observation, "the observation after restoring a state")
 
     def render(self) -> Any:
         """What the environment draws."""
@@ -117,6 +119,12 @@ class EnvironmentCopy:
             self._snapshots.replayed = replayed
         set_dice_state(self.env, state["dice"])
         self._snapshots.load_bookkeeping(state["bookkeeping"])
+
+
+def _finite(observation: Vector, which: str) -> Vector:
+    if not np.isfinite(observation).all():
+        raise WorldError(f"{which} holds NaN or infinity, from which nothing can be learned")
+    return observation
 
 
 def checked_action_space(space: Any) -> Any:

@@ -10,10 +10,15 @@ from itertools import combinations
 
 from t4nmtd_dist.automata.reduction import ReducedAutomaton, reduce_automaton
 from t4nmtd_dist.compiled import CompiledTask
+from t4nmtd_dist.config import AcceptanceSetting
 
 MIN_TRUE = 5
 """Steps on which a proposition must have held to be in a suggestion."""
 MOST_SUGGESTIONS = 5
+KEEPS_END = (
+    "; with it, acceptance = auto may end episodes at the first accepting state; set acceptance to keep it: "
+    'acceptance = "end"'
+)
 
 
 @dataclass(frozen=True)
@@ -27,6 +32,7 @@ class Suggestion:
             is below a few, that none was seen says little.
         states_before, transitions_before: of the automaton with the groups declared so far.
         states, transitions: with this group as well.
+        acceptance: how the task accepts with the groups declared so far.
     """
 
     group: tuple[str, ...]
@@ -36,6 +42,7 @@ class Suggestion:
     transitions_before: int
     states: int
     transitions: int
+    acceptance: AcceptanceSetting = "first"
 
     def text(self, steps: int) -> str:
         """The suggestion for human readers."""
@@ -45,6 +52,7 @@ class Suggestion:
             f"({counts} times; independent ones would have met about {self.expected_together:.1f} times): if they "
             f"cannot be, exclusive = {json.dumps([self.group])} makes the automaton smaller ({self.states_before} -> "
             f"{self.states} states, {self.transitions_before} -> {self.transitions} transitions)"
+            + (KEEPS_END if self.acceptance == "end" else "")
         )
 
 
@@ -64,7 +72,9 @@ def suggestions(task: CompiledTask, seen: Mapping[frozenset[str], int]) -> list[
         if after.accepting and _size(after) != _size(before):
             counts = {name: true[name] for name in group}
             expected = sum(a * b for a, b in combinations(counts.values(), 2)) / sum(seen.values())
-            found.append(Suggestion(group, counts, round(expected, 2), *_size(before), *_size(after)))
+            found.append(
+                Suggestion(group, counts, round(expected, 2), *_size(before), *_size(after), task.config.acceptance)
+            )
     return sorted(found, key=lambda each: (each.states, each.transitions, each.group))[:MOST_SUGGESTIONS]
 
 

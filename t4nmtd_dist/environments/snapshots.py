@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from typing import Any, Literal, Protocol
 
+import numpy as np
 from numpy.typing import NDArray
 
 from t4nmtd_dist.environments.attribute_snapshots import AttributeState, own_layer
@@ -108,7 +109,11 @@ class Contract:
 
     def get(self) -> NDArray[Any]:
         """See ``Snapshots.get``."""
-        state: NDArray[Any] = self._env.get_state()
+        state = self._env.get_state()
+        if not isinstance(state, np.ndarray) or state.ndim != 1:
+            shape = f" of shape {state.shape}" if isinstance(state, np.ndarray) else ""
+            found = f"{type(state).__name__}{shape}"
+            raise WorldError(f"get_state() of {self._env} returned {found}; expected a flat NumPy array, shape (n,)")
         return state
 
     def set(self, state: NDArray[Any]) -> Vector:

@@ -19,7 +19,7 @@ from t4nmtd_dist.environments.restoring import Choice, choose_snapshots, chosen
 from t4nmtd_dist.environments.user_errors import described
 from t4nmtd_dist.errors import T4NMTDError, WorldError
 from t4nmtd_dist.tasks import is_packages_environment
-from t4nmtd_dist.timed_world import ends_episode
+from t4nmtd_dist.timed_world import check_last_is_free, ends_episode
 
 MORE_TRIALS = 20
 FORGOTTEN = 0.05
@@ -33,13 +33,13 @@ class Survey:
     Attributes:
         environment: the environment with its wrappers, as it prints itself.
         observation_space, action_space: as they print themselves.
-        observation_size: numbers in an observation as the networks see it.
+        observation_size: numbers in an observation as the networks see it, the remaining time included.
         learner: its settings, with everything decided that was left to the environment.
         propositions: all that may be reported.
         snapshots: the adapter that restores exactly.
         observations: what they were like.
         steps, episodes: how many were taken.
-        cut: episodes that the environment itself ended before the horizon.
+        cut: accepted episodes that the environment itself ended before the horizon.
         endings: episodes by how they ended: accepted, error, terminated, truncated, horizon.
         true_steps: steps on which each proposition held.
         together: how often each set of names that an exclusive group forbids was seen.
@@ -98,7 +98,7 @@ def survey(task: CompiledTask, *, steps: int, seed: int) -> Survey:
         choice = choose_snapshots(config.environment, config.propositions, trials=MORE_TRIALS)
         copy = EnvironmentCopy(chosen(config.environment, choice), config.propositions)
         task = dataclasses.replace(task, config=decided(config, copy.action_space))
-        found = _described(copy, task.config.learner, choice)
+        found = _described(task, copy, choice)
         _fits(task, copy, found)
         _act(task, copy, found, steps, seed)
     except T4NMTDError:
@@ -110,14 +110,15 @@ def survey(task: CompiledTask, *, steps: int, seed: int) -> Survey:
     return found
 
 
-def _described(copy: EnvironmentCopy, learner: LearnerConfig, choice: Choice) -> Survey:
+def _described(task: CompiledTask, copy: EnvironmentCopy, choice: Choice) -> Survey:
+    timed = task.config.acceptance == "end"
     return Survey(
         str(copy.env),
         str(copy.env.observation_space),
         str(copy.action_space),
-        copy.observation_size,
-        learner,
-        copy.propositions,
+        copy.observation_size + timed,
+        task.config.learner,
+        tuple(name for name in copy.propositions if not (timed and name == LAST)),
         choice,
         ObservationRange(copy.parts),
     )
@@ -126,6 +127,8 @@ def _described(copy: EnvironmentCopy, learner: LearnerConfig, choice: Choice) ->
 def _fits(task: CompiledTask, copy: EnvironmentCopy, found: Survey) -> None:
     try:
         last = (LAST,) if task.config.acceptance == "end" else ()
+        if last:
+            check_last_is_free(copy.propositions)
         check_fit(task, (*copy.propositions, *last), copy.action_space)
     except WorldError as error:
         found.problems.append(str(error))
@@ -144,7 +147,8 @@ def _episode(task: CompiledTask, copy: EnvironmentCopy, found: Survey, steps: in
     q, ending, horizon = task.dfa.initial, "horizon", task.config.environment.horizon
     for t in range(1, horizon + 1):
         step = copy.step(copy.action_space.sample())
-        names = [name for name, holds in zip(copy.propositions, step.labels, strict=True) if holds]
+        true = [name for name, holds in zip(copy.propositions, step.labels, strict=True) if holds]
+        names = [name for name in true if name in found.propositions]
         found.observations.note(step.observation)
         found.steps += 1
         found.true_steps.update(names)
@@ -153,9 +157,9 @@ def _episode(task: CompiledTask, copy: EnvironmentCopy, found: Survey, steps: in
             both = tuple(name for name in names if name in group)
             found.together.update([both] if len(both) > 1 else [])
         if ends_episode(t, horizon, terminated=step.terminated, truncated=step.truncated):
-            found.cut += t < horizon
             names.append(LAST)
         q = task.dfa.step(q, names)
+        found.cut += LAST in names and t < horizon and q in task.dfa.accepting
         ending = _ending(task, q, step.terminated, step.truncated)
         if ending != "horizon":
             break
@@ -209,7 +213,8 @@ def _about_the_end(task: CompiledTask, found: Survey) -> list[str]:
         )
     if found.cut:
         warnings.append(
-            f"the environment itself ended {found.cut} of {found.episodes} episodes before the horizon: the trace ends "
-            "there, and counts as accepted if the formula holds by then; make a proposition of what must not end it"
+            f"the environment itself ended {found.cut} of {found.episodes} episodes before the horizon, and they count "
+            "as accepted because the formula held by then; if the environment must not end them, make a proposition of "
+            "what ended them, and forbid it in the formula"
         )
     return warnings

@@ -27,11 +27,11 @@ IDENTITY_FILE = "run.json"
 CHECKPOINT_EVERY_S = 300.0
 UNLESS_WRITTEN: State = {
     "acceptance": "first",
-    "decomposition": {"keep": "all"},
+    "decomposition": {"keep": "all", "time_limit": 600.0},
     "evaluation": {"actions": "greedy"},
     "learner": {"normalise_observations": "off"},
 }
-"""What runs did before there were these settings."""
+"""What runs did before there were these settings; compiling a task had no limit, so that it gets a generous one."""
 COORDINATOR, SERIAL = "coordinator", "serial"
 
 
