@@ -99,7 +99,7 @@ class StandIn:
             if message.job:
                 self._answer_until = -float("inf")
                 self._work.take(envelope)
-            else:
+            elif not self._work.busy:
                 self._end()
 
     def turn(self) -> bool:
