@@ -19,7 +19,7 @@ from coordinator.recorder import Recorder
 from coordinator.snapshot import dashboard_state, status
 from coordinator.state import CoordinatorState
 from coordinator.worker_commands import WorkerCommands
-from t4nmtd_dist.errors import ProtocolError
+from t4nmtd_dist.errors import ProtocolError, RunError
 from t4nmtd_dist.runs.directory import RunDirectory
 from t4nmtd_dist.runs.event_files import TensorBoard
 from t4nmtd_dist.runs.resuming import CHECKPOINT_EVERY_S, Identity, write_identity
@@ -123,10 +123,14 @@ class CoordinatorService:
             self._turn()
         pause = patience(self._turn, lambda: self._impatient)
         try:
-            with self._mishaps.survived("writing the result"):
+            with self._mishaps.survived("writing the result") as mishap:
                 write_result(self._recorder, self._keeper, self._say, pause)
         finally:
             self._hear_keeper()
+        if mishap:
+            raise RunError(
+                f"the result could not be written; go on from the last checkpoint by --resume {self._run.path}"
+            )
 
     def _say(self, text: str) -> None:
         self._feed(Noticed(time.monotonic(), text))

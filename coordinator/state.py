@@ -112,6 +112,7 @@ class CoordinatorState:
         self._bulletin, self._stuck = Bulletin(), StuckWatch()
         self._intake = Intake(task)
         self._complained: set[str] = set()
+        self._unusable: set[str] = set()
         self.snapshot: NDArray[Any] | None = None
         self.earlier_s = 0.0
         self._ended: float | None = None
@@ -217,6 +218,7 @@ class CoordinatorState:
             record.begin_epoch()
             self._lost.discard(lease.place)
             self._complained.discard(lease.place)
+            self._unusable.discard(lease.place)
         granted = Granted(
             role=claim.role,
             pid=lease.place,
@@ -292,7 +294,10 @@ class CoordinatorState:
         if not weights or sync.version <= record.version:
             return told
         trouble = self._intake.weights_trouble(weights, sync.version, self.records.values())
-        if not trouble:
+        if trouble:
+            self._unusable.add(sync.pid)
+        else:
+            self._unusable.discard(sync.pid)
             record.version, record.weights = sync.version, weights
         return told + self._complain(sync.pid, trouble)
 
@@ -363,9 +368,7 @@ class CoordinatorState:
     def _evaluation_poll(self, peer: bytes, poll: EvaluationPoll, answers: int) -> list[Action]:
         if not self.evaluator_lease.renew(EVALUATOR, poll.epoch, peer, self.now):
             return [Send(peer, stale_evaluator(EVALUATOR), answers=answers)]
-        if poll.busy:
-            return []
-        if not self._evaluation_due():
+        if poll.busy or not self._evaluation_due():
             return [Send(peer, EvaluationJob(job=0), answers=answers)]
         versions = self._versions()
         weights = {pid: acting_parameters(self.records[pid].weights) for pid in versions}
@@ -387,10 +390,11 @@ class CoordinatorState:
         return self.evaluations.due(self.interactions, self._versions(), self._training(), self.learners_s)
 
     def _training(self) -> frozenset[str]:
+        """Whose newer weights an evaluation waits for: unusable ones will never come."""
         return frozenset(
             pid
             for pid, record in self.records.items()
-            if record.current.phase == "training" and self.leases.live(pid, self.now)
+            if record.current.phase == "training" and pid not in self._unusable and self.leases.live(pid, self.now)
         )
 
     def _evaluation_report(self, peer: bytes, report: EvaluationReport) -> list[Action]:

@@ -279,6 +279,30 @@ def test_writing_aside_ends_before_the_next_begins(tmp_path: Path) -> None:
     assert "written in" in told[0]
 
 
+def test_an_unexpected_exception_while_writing_aside_is_raised_once(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    told: list[str] = []
+    writer = BackgroundWriter(told.append)
+    with monkeypatch.context() as broken:
+        broken.setattr("t4nmtd_dist.runs.background.write_checkpoint", lambda *_: 1 / 0)
+        writer.begin(tmp_path, ABOUT, state_of(1))
+        with pytest.raises(ZeroDivisionError):
+            writer.wait()
+    writer.begin(tmp_path, ABOUT, state_of(2))
+    writer.wait()
+    assert newest(tmp_path) == 2
+
+
+def test_a_checkpoint_that_is_gone_before_it_is_measured_is_no_trouble(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    told: list[str] = []
+    monkeypatch.setattr("t4nmtd_dist.runs.background.write_checkpoint", lambda *_: tmp_path / "gone")
+    BackgroundWriter(told.append).write(tmp_path, ABOUT, state_of(1))
+    assert "written in" in told[0]
+
+
 def test_a_solved_run_leaves_none(tmp_path: Path) -> None:
     write_checkpoint(tmp_path / "p1", ABOUT, state_of(1))
     delete_checkpoints(tmp_path / "p1")

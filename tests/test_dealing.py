@@ -38,6 +38,21 @@ def test_the_name_of_a_process_is_one_that_a_file_can_have(workers: int | None, 
         (tmp_path / f"{name}.log").touch()
 
 
+@pytest.mark.parametrize(
+    ("pids", "workers"),
+    [
+        (["a", "a&b", "b"], 2),
+        (["evaluator", "coordinator", "g"], None),
+        (["a", "a&b", "b", "worker-1"], 3),
+        (["a", "a&b", "b", "worker-2"], 2),
+    ],
+)
+def test_processes_whose_names_would_collide_lose_no_sub_task(pids: list[str], workers: int | None) -> None:
+    hands = dealt(pids, workers)
+    assert sorted(pid for hand in hands.values() for pid in hand) == sorted(pids)
+    assert not {"evaluator", "coordinator"} & hands.keys()
+
+
 @pytest.mark.parametrize("workers", [-1, 0, 5])
 def test_a_number_of_workers_that_cannot_be_is_refused(workers: int) -> None:
     with pytest.raises(ConfigError, match=f"--workers {workers}: expected 1 to 4"):

@@ -17,7 +17,7 @@ from t4nmtd_dist.wire.codec import MAX_MESSAGE_BYTES, Envelope
 from t4nmtd_dist.wire.connection_guard import ConnectionGuard
 from t4nmtd_dist.wire.gate import Gate
 from t4nmtd_dist.wire.inquiry import ask_status
-from t4nmtd_dist.wire.limits import Limits
+from t4nmtd_dist.wire.limits import CONTROL_LIMITS, Limits
 from t4nmtd_dist.wire.messages import DashboardState, Release
 from t4nmtd_dist.wire.sockets import Context, bind, bound_endpoint, connect, new_context, receive, send, subscribe
 
@@ -170,5 +170,28 @@ def test_no_more_connections_than_allowed_are_kept(context: Context) -> None:
             assert send(dealer, Envelope(Release(pid="p", epoch=1)))
             assert router.poll(int(DEADLINE_S * 1000))
             router.recv_multipart()
+    finally:
+        guard.close()
+
+
+def test_learners_that_send_large_weights_at_the_same_time_are_not_ended(context: Context) -> None:
+    router, told = bind(context, zmq.ROUTER, "tcp://127.0.0.1:*"), list[str]()
+    guard = ConnectionGuard(router, CONTROL_LIMITS, told.append)
+    gate = Gate(router, CONTROL_LIMITS, None, told.append, guard)
+    dealers = [connect(context, bound_endpoint(router)) for _ in range(8)]
+    kept: list[Envelope] = []
+    try:
+        for dealer in dealers:
+            assert dealer.poll(int(DEADLINE_S * 1000), zmq.POLLOUT)
+        for number, dealer in enumerate(dealers):
+            assert send(dealer, Envelope(Release(pid="p", epoch=number), {"a": np.ones(6 * MIB // 8)}))
+        time.sleep(0.3)  # all wait to be read
+        deadline = time.monotonic() + DEADLINE_S
+        while len(kept) < 8 and time.monotonic() < deadline and not told:
+            for arrival in gate.arrivals(1):
+                assert isinstance(arrival.content, Envelope)
+                kept.append(arrival.content)
+            time.sleep(0.02)  # the guard looks in between
+        assert (told, len(kept)) == ([], 8)
     finally:
         guard.close()

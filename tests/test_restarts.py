@@ -118,3 +118,23 @@ def test_an_evaluator_that_refuses_ends_no_training(processes: Launcher) -> None
     processes.start_worker("evaluator", [REFUSES, "--evaluate"])
     check_until(processes, local.MOST_REFUSALS)
     assert processes.check()
+
+
+def test_the_last_words_of_a_worker_are_short_and_a_log_that_is_gone_has_none(tmp_path: Path) -> None:
+    log = tmp_path / "w.log"
+    assert local._tail(log) == ""
+    log.write_text("x" * 50_000 + "\nlast words\n", encoding="utf-8")
+    first, last = local._tail(log).splitlines()
+    assert (len(first), first[-3:], last) == (local.LONGEST_LINE, "...", "last words")
+
+
+def test_a_worker_whose_log_was_deleted_is_started_again(processes: Launcher, tmp_path: Path) -> None:
+    processes.start_worker("p1", [CRASHES])
+    child = processes._children["p1"]
+    child.process.wait(DEADLINE_S)
+    child.log.unlink()
+    deadline = time.monotonic() + DEADLINE_S
+    while child.restarts == 0:
+        assert processes.check()
+        assert time.monotonic() < deadline
+    assert child.log.exists()

@@ -33,6 +33,7 @@ from t4nmtd_dist.wire.messages import (
 )
 from workers.evaluation_work import SLICE_S, EvaluationWork
 from workers.stand_in import STAND_IN, TIME_SHARE, SpareTime, StandIn
+from workers.state import Exit, WorkerState
 
 JUST_BEFORE, AFTER = STAND_IN_AFTER_S - 0.1, STAND_IN_AFTER_S + 0.1
 
@@ -104,7 +105,7 @@ def test_nobody_is_invited_while_an_evaluator_is_heard_and_for_some_time_after()
     for _ in range(30):
         talk.now += 1.0
         assert not talk.train()
-        assert talk.poll("e", epoch, busy=True) == []
+        assert talk.poll("e", epoch, busy=True) == [EvaluationJob(job=0)]
     lease = talk.state.evaluator_lease.get("evaluator")
     assert lease is not None
     talk.now = lease.expires + 0.1
@@ -124,7 +125,7 @@ def test_a_busy_evaluator_keeps_its_place_and_gets_no_further_job() -> None:
     for _ in range(40):
         talk.now += 1.0
         assert not talk.train()
-        assert talk.poll("e", epoch, busy=True) == []
+        assert talk.poll("e", epoch, busy=True) == [EvaluationJob(job=0)]
     assert len(talk.report("e", epoch, job.job)) == 1
 
 
@@ -381,3 +382,24 @@ def test_an_evaluation_step_by_step_is_the_same_as_at_once() -> None:
     assert result.lengths.tolist() == expected.lengths.tolist()
     assert result.returns.tolist() == expected.returns.tolist()
     assert result.dfa_path == expected.dfa_path
+
+
+def test_an_evaluation_longer_than_the_patience_hears_the_coordinator_and_goes_on() -> None:
+    session, sent = Slices(400, 1.0), list[Message]()
+    work = EvaluationWork(session, sent.append, session.clock)  # type: ignore[arg-type]
+    talk = Alone()
+    talk.train()
+    epoch = talk.claim_evaluator("e").epoch
+    state = WorkerState("evaluator", "e", [], "tcp://x", "", 60.0, 0.0)
+    for _ in range(200):
+        work.tell()
+        for message in sent:
+            if isinstance(message, EvaluationPoll):
+                for answer in talk.poll("e", epoch, busy=message.busy):
+                    state.hear(session.now, answer)
+                    work.take(Envelope(answer, {}))
+        sent.clear()
+        assert not any(isinstance(action, Exit) for action in state.tick(session.now))
+        work.advance()
+        talk.now = session.now
+    assert (session.begun, work.busy) == (1, True)

@@ -18,7 +18,7 @@ from t4nmtd_dist.errors import WorldError
 from t4nmtd_dist.learners.attempts import MOST_FAILURES
 from t4nmtd_dist.learners.ppo import PPOLearner
 from t4nmtd_dist.learners.weight_checks import NetworkSizes, check_weights, expected_shapes
-from t4nmtd_dist.wire.messages import Granted, SyncReply
+from t4nmtd_dist.wire.messages import EvaluationJob, EvaluationPoll, Granted, LearnerStats, SyncReply
 from workers.learner_session import LearnerSession
 
 Arrays = dict[str, NDArray[Any]]
@@ -204,3 +204,29 @@ def test_where_the_reset_is_a_start_bad_states_cost_nothing_but_a_line() -> None
     for _ in range(100):
         learner.attempts.step(np.zeros(4, np.int64))
     assert len(told) == 1
+
+
+def test_a_learner_whose_weights_are_refused_does_not_stop_the_evaluations() -> None:
+    talk = Conversation("evaluation.every=1")
+    epoch = talk.claim_evaluator("e").epoch
+
+    def train(number: int, p2: Arrays) -> None:
+        stats = LearnerStats(phase="training", interactions=number, processor_s=100.0)
+        for pid, arrays in (("p1", weights()), ("p2", p2)):
+            talk.sync(pid, pid, sequence=number, version=number, stats=stats, arrays=arrays)
+
+    def job() -> int:
+        answer = talk.answer("e", EvaluationPoll(epoch=epoch))
+        assert isinstance(answer, EvaluationJob)
+        return answer.job
+
+    for pid in ("p1", "p2"):
+        talk.claim(pid, pid)
+    train(1, weights())
+    assert job() == 1
+    train(2, BAD_WEIGHTS["not a number"])
+    assert job() == 2, "the weights of p2 that are known are evaluated again"
+    train(3, weights())
+    assert job() == 3
+    train(5, {})
+    assert job() == 0, "p2 is waited for again"

@@ -49,9 +49,9 @@ class EvaluationWork:
         return self._steps is not None
 
     def take(self, envelope: Envelope) -> None:
-        """The coordinator's answer to a poll: begin its job, or ask again later."""
+        """The coordinator's answer to a poll: begin its job, or ask again later; while busy, no job is good news."""
         message = envelope.message
-        if not isinstance(message, EvaluationJob):
+        if not isinstance(message, EvaluationJob) or (self.busy and not message.job):
             return
         if message.job:
             self._steps, self._processor_s = self._session.steps(envelope), 0.0

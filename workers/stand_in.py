@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 
 from t4nmtd_dist.errors import T4NMTDError
 from t4nmtd_dist.wire.codec import Envelope
-from t4nmtd_dist.wire.messages import Claim, EvaluationJob, Granted, Message, Refused
+from t4nmtd_dist.wire.messages import Claim, EvaluationJob, Failure, Granted, Message, Refused
 from workers.evaluation_work import PATIENCE_S, EvaluationWork
 
 if TYPE_CHECKING:
@@ -69,6 +69,7 @@ class StandIn:
         self._spare = SpareTime(clock())
         self._session: EvaluationSession | None = None
         self._work: EvaluationWork | None = None
+        self._asked = False
         self._ask_again = self._answer_until = -float("inf")
 
     @property
@@ -81,20 +82,24 @@ class StandIn:
         now = self._clock()
         if self._work is None and now >= self._ask_again and self._spare.allows(now):
             self._ask_again, self._answer_until = now + PATIENCE_S, now + ANSWER_S
+            self._asked = True
             self._send(Claim(role="evaluator", instance=self._instance, stand_in=True))
 
     def take(self, envelope: Envelope) -> None:
-        """An answer to one of its own messages."""
+        """An answer to one of its own messages; a lease that it has not asked for is ignored."""
         message = envelope.message
         if isinstance(message, Granted):
-            self._try(lambda: self._begin(message))
+            if self._asked:
+                self._try(lambda: self._begin(message))
+        elif isinstance(message, Failure):
+            self._give_up(f"the coordinator refused a message: {message.text}")
         elif isinstance(message, Refused):
-            self._work, self._answer_until = None, -float("inf")
+            self._asked, self._work, self._answer_until = False, None, -float("inf")
         elif isinstance(message, EvaluationJob) and self._work is not None:
             if message.job:
                 self._answer_until = -float("inf")
                 self._work.take(envelope)
-            else:
+            elif not self._work.busy:
                 self._end()
 
     def turn(self) -> bool:
@@ -113,6 +118,7 @@ class StandIn:
             self._work.tell()
 
     def _begin(self, granted: Granted) -> None:
+        self._asked = False
         if self._session is None or not self._session.renew(granted):
             self._session = self._sessions(granted)
         self._work = EvaluationWork(self._session, self._send, self._clock)
@@ -133,9 +139,12 @@ class StandIn:
         try:
             do()
         except T4NMTDError as error:
-            self._say(f"does not evaluate any more: {error}")
-            self._end()
-            self._ask_again = float("inf")
+            self._give_up(str(error))
+
+    def _give_up(self, reason: str) -> None:
+        self._say(f"does not evaluate any more: {reason}")
+        self._end()
+        self._ask_again = float("inf")
 
     def close(self) -> None:
         """Give the place back, if it is held."""

@@ -255,7 +255,9 @@ class Worker:
 
     def _take(self, envelope: Envelope) -> None:
         message = envelope.message
-        if envelope.id == STAND_IN and isinstance(message, Granted | Refused | EvaluationJob):
+        if envelope.id == STAND_IN and isinstance(message, Granted | Refused | EvaluationJob | Failure):
+            if isinstance(message, Granted):
+                self._check_trust(message)
             self._stand_in.take(envelope)
             return
         self._act(self._state.hear(time.monotonic(), message), envelope.arrays)
@@ -304,6 +306,9 @@ class Worker:
         if granted.role == "learner":
             self._end_those_of_another_training(granted)
         self._waiting[granted.pid] = WaitingLease(granted, arrays)
+        self._check_trust(granted)
+
+    def _check_trust(self, granted: Granted) -> None:
         if self._keys is None:
             check_trust(granted, self._options.coordinator, given=self._options.trust)
 

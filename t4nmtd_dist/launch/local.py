@@ -8,8 +8,9 @@ import signal
 import subprocess
 import sys
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
+from itertools import count
 from pathlib import Path
 
 from t4nmtd_dist.errors import BROKEN_ENVIRONMENT, ConfigError, RunError
@@ -25,6 +26,8 @@ MOST_REFUSALS = 3
 REFUSALS = (2, BROKEN_ENVIRONMENT)
 FORGIVEN_S = 600.0  # a worker that ran so long counts its refusals anew
 LONGEST_NAME = 100
+LONGEST_LINE = 1000  # of a log, when it is quoted
+RESERVED = ("coordinator", "evaluator")  # names of processes that are no learners
 KILLED_BY = (signal.SIGKILL, signal.SIGTERM, signal.SIGINT, signal.SIGHUP)  # somebody's wish, not a crash
 
 
@@ -38,17 +41,22 @@ def dealt(pids: Sequence[str], workers: int | None) -> dict[str, list[str]]:
     Raises:
         ConfigError: if there would be none, or some without a sub-task.
     """
-    count = len(pids) if workers is None else workers
-    if not 1 <= count <= len(pids):
-        raise ConfigError(f"--workers {count}: expected 1 to {len(pids)}, the number of this task's sub-tasks")
-    hands = [list(pids[first::count]) for first in range(count)]
-    return {_name_of(hand, number): hand for number, hand in enumerate(hands, 1)}
+    processes = len(pids) if workers is None else workers
+    if not 1 <= processes <= len(pids):
+        raise ConfigError(f"--workers {processes}: expected 1 to {len(pids)}, the number of this task's sub-tasks")
+    hands = [list(pids[first::processes]) for first in range(processes)]
+    named: dict[str, list[str]] = {}
+    for hand in hands:
+        named[_name_of(hand, named)] = hand
+    return named
 
 
-def _name_of(hand: Sequence[str], number: int) -> str:
-    """The sub-tasks' names; a number where these are too long for the name of a log."""
+def _name_of(hand: Sequence[str], taken: Mapping[str, object]) -> str:
+    """The sub-tasks' names; a number where these are too long for the name of a log, taken or reserved."""
     joined = "+".join(map(file_name, hand))
-    return joined if len(joined) <= LONGEST_NAME else f"worker-{number}"
+    if len(joined) <= LONGEST_NAME and joined not in taken and joined not in RESERVED:
+        return joined
+    return next(name for number in count(len(taken) + 1) if (name := f"worker-{number}") not in taken)
 
 
 @dataclass
@@ -179,7 +187,7 @@ class LocalProcesses:
             return
         child.restarts += 1
         child.restart_at = None
-        child.log_size = child.log.stat().st_size
+        child.log_size = _size(child.log)
         child.process, child.began = _spawn(child.command, child.log), now
 
     def _count_refusal(self, child: _Child) -> None:
@@ -258,5 +266,17 @@ def _obituary(child: _Child) -> str:
 
 def _tail(log: Path, begin: int = 0) -> str:
     """The last lines of a log, of those after its first ``begin`` bytes."""
-    lines = log.read_bytes()[begin:].decode("utf-8", errors="replace").strip().splitlines()
-    return "\n".join(lines[-20:])
+    try:
+        written = log.read_bytes()[begin:]
+    except OSError:  # somebody has deleted it
+        return ""
+    lines = written.decode("utf-8", errors="replace").strip().splitlines()
+    return "\n".join(line if len(line) <= LONGEST_LINE else f"{line[: LONGEST_LINE - 3]}..." for line in lines[-20:])
+
+
+def _size(log: Path) -> int:
+    """Bytes of a log; 0 if somebody has deleted it."""
+    try:
+        return log.stat().st_size
+    except OSError:
+        return 0

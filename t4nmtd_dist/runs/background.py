@@ -36,9 +36,9 @@ class BackgroundWriter:
 
     def wait(self) -> None:
         """Wait until none is being written."""
-        if self._pending is not None:
-            self._pending.result()
-            self._pending = None
+        pending, self._pending = self._pending, None
+        if pending is not None:
+            pending.result()
 
     def write(self, folder: Path, about: Mapping[str, Any], state: Mapping[str, Any]) -> None:
         """Write a checkpoint now."""
@@ -48,5 +48,12 @@ class BackgroundWriter:
         except RunError as error:
             self._tell(f"{error}; without it a resume goes back to the one before")
             return
-        size = sum(file.stat().st_size for file in path.iterdir())
-        self._tell(f"checkpoint {path} written in {time.monotonic() - began:.2f} s, {size / 1e6:.1f} MB")
+        self._tell(f"checkpoint {path} written in {time.monotonic() - began:.2f} s{_size_of(path)}")
+
+
+def _size_of(checkpoint: Path) -> str:
+    """Its size in words; nothing if its files cannot be read any more."""
+    try:
+        return f", {sum(file.stat().st_size for file in checkpoint.iterdir()) / 1e6:.1f} MB"
+    except OSError:
+        return ""

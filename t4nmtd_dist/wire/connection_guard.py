@@ -30,6 +30,8 @@ QUIET_MS, BUSY_MS = 20, 2
 BUSY_BYTES = 4096  # received since the last look: look again soon
 SMALL_FRAMES_BYTES = 64 << 10  # from which on growth of the process is blamed on what is unread
 GROWTH_BYTES = 32 << 20
+MOST_GROWTH_BYTES = 4 * GROWTH_BYTES  # however little each connection has unread
+SUBSTANTIAL = 16  # this part of what may be unread: growth of the process is not blamed on a connection with less
 TRIM_AFTER_S = 0.5  # in which libzmq frees what it had buffered
 TOTAL = 2  # all connections together may have this many times unread what one may
 
@@ -90,6 +92,8 @@ class ConnectionGuard:
     def delivered(self, over: Connection | None, size: int) -> None:
         """A message of ``size`` bytes over a connection was handed over."""
         with self._lock:
+            if self._memory_before:
+                self._memory_before += size  # its receiver may keep it
             account = self._accounts.get(over) if over is not None else None
             if account is not None:
                 account.delivered += size
@@ -165,9 +169,15 @@ class ConnectionGuard:
         memory = _resident()
         self._memory_before = min(self._memory_before or memory, memory)
         grown = memory - self._memory_before - unread
-        if unread > TOTAL * self._limits.unread_bytes or grown > GROWTH_BYTES:
+        if unread > TOTAL * self._limits.unread_bytes or self._costs_too_much(grown, most.unread, unread):
             self._end(most, self._too_much())
             self._memory_before = 0
+
+    def _costs_too_much(self, grown: int, most: int, unread: int) -> bool:
+        """Whether the process has grown by too much, and what is unread of one connection, or of all, explains it."""
+        substantial = self._limits.unread_bytes // SUBSTANTIAL
+        blamed = unread if grown > MOST_GROWTH_BYTES else most
+        return grown > GROWTH_BYTES and blamed > substantial
 
     def _too_much(self) -> str:
         mebibytes = self._limits.unread_bytes / 2**20

@@ -159,7 +159,7 @@ class Release(Message, frozen=True, tag="release"):
 class EvaluationPoll(Message, frozen=True, tag="evaluation_poll"):
     """Evaluator -> coordinator, every second while idle: heartbeat, and answered by a job once one is due.
 
-    ``busy``: only a heartbeat in the midst of an evaluation, which is not answered.
+    ``busy``: only a heartbeat in the midst of an evaluation, which is answered by job 0.
     """
 
     epoch: Count
