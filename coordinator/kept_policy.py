@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from coordinator.evaluations import EvaluatedPolicy, PolicySnapshot
 from coordinator.state import CoordinatorState
 from t4nmtd_dist.runs.checkpoints import Warn
-from t4nmtd_dist.runs.exported import export_policy, read_export
+from t4nmtd_dist.runs.exported import export_policy, mend_export, read_export
 from t4nmtd_dist.wire.messages import EvaluationRow
 
 
@@ -48,6 +48,7 @@ def keep_exported(state: CoordinatorState, folder: Path, warn: Warn) -> None:
         folder: where it is, if there is one.
         warn: told if it cannot be read.
     """
+    mend_export(folder)
     try:
         _, data, arrays = read_export(folder)
         exported = _evaluated(data, arrays)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 import shutil
 import signal
 import threading
@@ -162,6 +163,29 @@ def test_a_resumed_run_keeps_a_better_policy_that_was_exported_after_its_checkpo
             recorder.record(action)
         assert about(run.path)["success_rate"] == max(success, 0.9)
     assert load(run.path).mode == "greedy"
+
+
+@pytest.mark.parametrize("half", [False, True], ids=["both whole", "the new one half written"])
+def test_a_kill_between_the_renames_of_an_export_loses_no_policy(half: bool, talk: Learned, tmp_path: Path) -> None:
+    run = RunDirectory(tmp_path / "run")
+    recorder = Recorder(talk.state, run)
+    for success in (0.5, 0.9):
+        for action in talk.evaluate(success):
+            recorder.record(action)
+        if success < 0.9:
+            shutil.copytree(run.path / "policy", run.path / "policy.old")
+            before = run.path / "before"
+            os.replace(run.path / "policy.old", before)
+    os.replace(run.path / "policy", run.path / "policy.new")
+    os.replace(before, run.path / "policy.old")
+    if half:
+        (run.path / "policy.new" / POLICY_FILE).write_text("{", encoding="utf-8")
+    resumed = Learned("evaluation.actions=best")
+    go_on(resumed.state, run.checkpoints, pytest.fail)
+    found = resumed.state.evaluations.best
+    assert found is not None
+    assert found.row.success_rate == (0.5 if half else 0.9)
+    assert about(run.path)["success_rate"] == found.row.success_rate
 
 
 def test_a_worse_exported_policy_does_not_replace_that_of_the_checkpoint(talk: Learned, tmp_path: Path) -> None:

@@ -13,7 +13,7 @@ from t4nmtd_dist.high_level import QEntries
 from t4nmtd_dist.policy import GlobalPolicy
 from t4nmtd_dist.runs.state_tree import State
 from t4nmtd_dist.wire.codec import Envelope
-from t4nmtd_dist.wire.messages import EvaluationJob, EvaluationReport, Granted
+from t4nmtd_dist.wire.messages import LONGEST_PATH, EvaluationJob, EvaluationReport, Granted
 from workers.learner_session import compiled_from, training_of
 
 
@@ -58,7 +58,7 @@ class EvaluationSession:
             std_length=float(result.lengths.std()),
             mean_return=float(result.returns.mean()),
             episodes=len(result.success),
-            dfa_path=result.dfa_path,
+            dfa_path=result.dfa_path[:LONGEST_PATH],
             actions=played.mode,
             other_success_rate=played.other_success_rate,
         )

@@ -89,6 +89,20 @@ def _beside(folder: Path) -> tuple[Path, Path]:
     return folder.with_name(folder.name + ".new"), folder.with_name(folder.name + ".old")
 
 
+def mend_export(folder: Path) -> None:
+    """Put a policy back that a kill between the two renames of an export has left beside its folder.
+
+    The newer one is preferred, if it is whole.
+    """
+    if folder.exists():
+        return
+    for found in _beside(folder):
+        with suppress(OSError, ValueError):  # half written, or not there
+            _read_once(found)
+            os.replace(found, folder)
+            return
+
+
 def read_export(*folders: Path) -> tuple[Path, Any, dict[str, NDArray[Any]]]:
     """The first of some folders that holds an export, what its ``policy.json`` says, and its arrays by ``pid/actor.*``.
 

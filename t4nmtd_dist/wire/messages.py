@@ -15,7 +15,7 @@ from t4nmtd_dist.action_modes import ActionMode
 from t4nmtd_dist.wire.fields import Address, Amount, Count, Finite, Name, OptionalName, Share, StateNumber, Version
 
 PROTOCOL_VERSION = 2
-LONGEST_PATH = 100_000
+LONGEST_PATH = 4000  # below the longest list that a header may hold
 
 Role = Literal["learner", "evaluator"]
 LearnerPhase = Literal["free", "waiting", "training", "lost"]
