@@ -449,3 +449,21 @@ def test_prefixes_come_off_as_they_went_on() -> None:
     prefixed = with_prefix("weights.", arrays)
     assert set(prefixed) == {"weights.weight", "weights.bias"}
     assert without_prefix("weights.", prefixed | {"other": np.zeros(1)}) == arrays
+
+
+@pytest.mark.parametrize(
+    "arrays",
+    [
+        {f"a{number}": np.zeros(1, np.float32) for number in range(codec.MAX_ARRAYS + 1)},
+        {f"a{number}": np.zeros(codec.MAX_ARRAY_BYTES, np.uint8) for number in range(3)},
+    ],
+    ids=["too many", "too large together"],
+)
+def test_what_the_other_side_would_refuse_is_not_sent(arrays: dict[str, NDArray[Any]]) -> None:
+    with pytest.raises(ProtocolError, match="a message takes at most"):
+        encode(Envelope(Failure(text="x"), arrays))
+
+
+def test_a_parameter_of_a_sub_task_with_a_long_name_travels() -> None:
+    name = f"{'a' * 900}/weights.actor.0.weight"
+    assert list(decode(encode(Envelope(Failure(text="x"), {name: np.zeros(1, np.float32)}))).arrays) == [name]

@@ -14,7 +14,7 @@ from msgspec import Meta
 from numpy.typing import NDArray
 
 from t4nmtd_dist.errors import ProtocolError
-from t4nmtd_dist.wire.fields import OptionalName, explained, shortened
+from t4nmtd_dist.wire.fields import LONGEST_NAME, OptionalName, explained, shortened
 from t4nmtd_dist.wire.messages import KINDS, PROTOCOL_VERSION, Message
 
 Array = NDArray[Any]
@@ -29,7 +29,7 @@ MAX_ARRAYS = 1024
 MAX_DIMENSIONS = 8
 BYTES_PER_ITEM = 32  # of a header, at least, for each item of its longest list: bounds what msgpack allocates ahead
 
-ArrayName = Annotated[str, Meta(max_length=300)]
+ArrayName = Annotated[str, Meta(max_length=LONGEST_NAME + 300)]  # of a sub-task, and of a parameter
 DtypeName = Annotated[str, Meta(max_length=8)]
 
 
@@ -84,6 +84,12 @@ def _check_sizes(arrays: Arrays) -> None:
     for name, array in arrays.items():
         if array.nbytes > MAX_ARRAY_BYTES:
             raise ProtocolError(f"array {name!r} has {array.nbytes} bytes; a message takes {MAX_ARRAY_BYTES} at most")
+    size = sum(array.nbytes for array in arrays.values())
+    if len(arrays) > MAX_ARRAYS or size > MAX_MESSAGE_BYTES:
+        raise ProtocolError(
+            f"{len(arrays)} arrays of {size} bytes; a message takes at most {MAX_ARRAYS} arrays of {MAX_MESSAGE_BYTES} "
+            "bytes in all: use smaller networks (learner.hidden), or fewer sub-tasks"
+        )
 
 
 def _dtype_name(name: str, array: Array) -> str:
@@ -134,7 +140,9 @@ def _header(frame: bytes, most: int) -> Header:
 
 
 def _arrays(header: Header, frames: Sequence[bytes]) -> dict[str, Array]:
-    if len(header.arrays) != len(frames) or len(frames) > MAX_ARRAYS:
+    if len(frames) > MAX_ARRAYS:
+        raise ProtocolError(f"{header.kind!r} carries {len(frames)} arrays; at most {MAX_ARRAYS} are allowed")
+    if len(header.arrays) != len(frames):
         raise ProtocolError(f"{header.kind!r} announces {len(header.arrays)} arrays and carries {len(frames)}")
     if sum(len(frame) for frame in frames) > MAX_MESSAGE_BYTES:
         raise ProtocolError(f"the arrays of a message have more than {MAX_MESSAGE_BYTES} bytes")
