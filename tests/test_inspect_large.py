@@ -154,6 +154,21 @@ def test_a_task_too_large_for_a_message_to_a_worker_is_refused() -> None:
         check_task_size(task, most=size)
 
 
+@pytest.mark.parametrize("algorithm", ["ppo", "sac"])
+@pytest.mark.parametrize(
+    ("hidden", "text"),
+    [
+        ([1] * 200, r"arrays in the message (of a learner|to an evaluator); at most 1024 fit\. .*hidden.*--serial"),
+        ([1400, 1400, 1400], r"MiB in the message (of a learner|to an evaluator); at most 32 fit\. .*hidden.*--serial"),
+        ([8000, 8000], r"MiB in one array; at most 16 fit\. .*hidden.*--serial"),
+    ],
+)
+def test_networks_too_large_for_a_message_are_refused(algorithm: str, hidden: list[int], text: str) -> None:
+    task = compile_task(load_task("task7", flags=[f'learner.algorithm="{algorithm}"', f"learner.hidden={hidden}"]))
+    with pytest.raises(ConfigError, match=text):
+        check_task_size(task)
+
+
 def test_a_table_too_large_to_keep_is_refused_at_once() -> None:
     text = str(refusal(unordered("abcdefghijklmno")))
     assert "expected at most 33554432 entries" in text
