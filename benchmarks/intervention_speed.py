@@ -41,18 +41,18 @@ import numpy as np
 import psutil
 import tomli_w
 
-from coordinator.doors import Access
+from coordinator.endpoints import Access
 from coordinator.service import CoordinatorService
 from coordinator.state import CoordinatorState, RunSettings
 from envs.racecar_track import TARGET_RADIUS, TARGETS, on_track
-from t4nmtd_dist.compiled import compile_task
 from t4nmtd_dist.environments.preparation import prepared
 from t4nmtd_dist.launch.local import dealt, role
+from t4nmtd_dist.method.compiled import compile_task
 from t4nmtd_dist.runs.directory import CHECKPOINTS_FOLDER, CONFIG_FILE, ENDPOINTS_FILE
 from t4nmtd_dist.tasks import load_task
-from t4nmtd_dist.wire.inquiry import Inquiry
 from t4nmtd_dist.wire.messages import Status
 from t4nmtd_dist.wire.sockets import new_context
+from t4nmtd_dist.wire.status_client import Inquiry
 
 PIDS = ("g1", "g2", "g3", "g4")
 STARTS = 50

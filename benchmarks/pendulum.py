@@ -40,11 +40,11 @@ import torch
 from numpy.typing import NDArray
 from stable_baselines3 import SAC
 
-from t4nmtd_dist.learners.actors import scaled
-from t4nmtd_dist.learners.experience import Experience
-from t4nmtd_dist.learners.sac_interface import SACBatch, SACSettings
-from t4nmtd_dist.learners.sac_update import SACUpdater
-from t4nmtd_dist.product import SubtaskTables
+from t4nmtd_dist.agents.actors import scaled
+from t4nmtd_dist.agents.common.replay_buffer import Experience
+from t4nmtd_dist.agents.sac.fast_cpu.update import SACUpdater
+from t4nmtd_dist.agents.sac.interface import SACBatch, SACSettings
+from t4nmtd_dist.method.rewards import SubtaskTables
 
 Floats = NDArray[np.float32]
 

@@ -32,14 +32,14 @@ from numpy.typing import NDArray
 from stable_baselines3 import SAC
 from stable_baselines3.common.logger import Logger
 
-from t4nmtd_dist.compiled import CompiledTask, compile_task
-from t4nmtd_dist.config import SACConfig
-from t4nmtd_dist.learners.experience import Experience
-from t4nmtd_dist.learners.products import multiply
-from t4nmtd_dist.learners.sac_batches import BatchSource
-from t4nmtd_dist.learners.sac_interface import PeerSoftValues, SACBatch, SACSettings
-from t4nmtd_dist.learners.sac_update import SACUpdater
-from t4nmtd_dist.product import subtask_tables
+from t4nmtd_dist.agents.common.replay_buffer import Experience
+from t4nmtd_dist.agents.sac.batches import BatchSource
+from t4nmtd_dist.agents.sac.fast_cpu.matmul import multiply
+from t4nmtd_dist.agents.sac.fast_cpu.update import SACUpdater
+from t4nmtd_dist.agents.sac.interface import PeerSoftValues, SACBatch, SACSettings
+from t4nmtd_dist.core.config import SACConfig
+from t4nmtd_dist.method.compiled import CompiledTask, compile_task
+from t4nmtd_dist.method.rewards import subtask_tables
 from t4nmtd_dist.tasks import load_task
 
 OBSERVATION, ACTIONS, HIDDEN, BATCH = 76, 2, (256, 256), 256

@@ -27,7 +27,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from t4nmtd_dist.runs.exported import ACTORS_FILE, POLICY_FILE
+from t4nmtd_dist.policy.export import ACTORS_FILE, POLICY_FILE
 
 HOME = Path(__file__).parent
 KEPT = ("summary.json", "config.toml", "versions.json", "metrics/evaluations.csv")

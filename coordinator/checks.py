@@ -6,8 +6,8 @@ import math
 
 import msgspec
 
-from t4nmtd_dist.compiled import CompiledTask
-from t4nmtd_dist.errors import ProtocolError
+from t4nmtd_dist.core.errors import ProtocolError
+from t4nmtd_dist.method.compiled import CompiledTask
 from t4nmtd_dist.wire.messages import EvaluationReport, LearnerStats
 
 OPTIONAL_FIGURES = ("recent_success", "episode_steps", "entropy", "value_loss")

@@ -10,10 +10,10 @@ import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
-from t4nmtd_dist.action_modes import ActionMode, modes_to_play
-from t4nmtd_dist.config import EvaluationConfig
-from t4nmtd_dist.high_level import QEntries
-from t4nmtd_dist.runs.state_tree import State
+from t4nmtd_dist.core.action_modes import ActionMode, modes_to_play
+from t4nmtd_dist.core.config import EvaluationConfig
+from t4nmtd_dist.core.state_dict import State
+from t4nmtd_dist.method.high_level import QEntries
 from t4nmtd_dist.wire.messages import EvaluationReport, EvaluationRow
 
 CONVERGED_LENGTH_SPREAD = 0.1

@@ -6,8 +6,8 @@ import time
 from collections.abc import Callable
 from typing import Protocol
 
-from coordinator.recorder import Recorder
-from t4nmtd_dist.errors import RunError
+from coordinator.run_logger import Recorder
+from t4nmtd_dist.core.errors import RunError
 
 WAIT_S = 60.0
 PAUSE_S = 1.0

@@ -9,10 +9,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from coordinator.records import LearnerRecord
-from t4nmtd_dist.compiled import CompiledTask
-from t4nmtd_dist.errors import PolicyError
-from t4nmtd_dist.learners.weight_checks import NetworkSizes, check_weights, sizes_of
+from coordinator.learner_registry import LearnerRecord
+from t4nmtd_dist.agents.weight_checks import NetworkSizes, check_weights, sizes_of
+from t4nmtd_dist.core.errors import PolicyError
+from t4nmtd_dist.method.compiled import CompiledTask
 
 MOST_VERSIONS_AT_ONCE = 2**40  # a version near the largest would be the last
 

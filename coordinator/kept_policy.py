@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 
 from coordinator.evaluations import EvaluatedPolicy, PolicySnapshot
 from coordinator.state import CoordinatorState
+from t4nmtd_dist.policy.export import export_policy, mend_export, read_export
 from t4nmtd_dist.runs.checkpoints import Warn
-from t4nmtd_dist.runs.exported import export_policy, mend_export, read_export
 from t4nmtd_dist.wire.messages import EvaluationRow
 
 

@@ -8,9 +8,9 @@ from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
 
-from t4nmtd_dist.errors import RunError
+from t4nmtd_dist.core.errors import RunError
 from t4nmtd_dist.wire.fields import shortened
-from t4nmtd_dist.wire.notices import Notices, Tell
+from t4nmtd_dist.wire.rate_limited_log import Notices, Tell
 
 
 class Mishaps:

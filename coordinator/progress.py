@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from t4nmtd_dist.errors import ProtocolError
+from t4nmtd_dist.core.errors import ProtocolError
 from t4nmtd_dist.wire.limits import STARTS_BYTES
 
 MOST_CHANGES = 1_000_000

@@ -5,7 +5,7 @@ from __future__ import annotations
 import msgspec
 
 from coordinator.state import CoordinatorState
-from t4nmtd_dist.runs.state_tree import State
+from t4nmtd_dist.core.state_dict import State
 from t4nmtd_dist.wire.messages import EventLine, LearnerStats
 
 

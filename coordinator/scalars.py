@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from coordinator.records import LearnerRecord
+from coordinator.learner_registry import LearnerRecord
 from t4nmtd_dist.wire.messages import EvaluationRow
 
 

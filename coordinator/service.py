@@ -10,23 +10,23 @@ from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from queue import SimpleQueue
 
-from coordinator.doors import Access, Doors
+from coordinator.checkpointing import StateKeeper, go_on
+from coordinator.endpoints import Access, Doors
 from coordinator.events import Action, Event, Finish, Interrupted, KeysChanged, Noticed, Received, Send, Tick
 from coordinator.finishing import patience, write_result
-from coordinator.keeping import StateKeeper, go_on
 from coordinator.mishaps import Mishaps
-from coordinator.recorder import Recorder
+from coordinator.run_logger import Recorder
 from coordinator.snapshot import dashboard_state, status
 from coordinator.state import CoordinatorState
 from coordinator.worker_commands import WorkerCommands
-from t4nmtd_dist.errors import ProtocolError, RunError
+from t4nmtd_dist.core.errors import ProtocolError, RunError
 from t4nmtd_dist.runs.directory import RunDirectory
 from t4nmtd_dist.runs.event_files import TensorBoard
 from t4nmtd_dist.runs.resuming import CHECKPOINT_EVERY_S, Identity, write_identity
 from t4nmtd_dist.wire.codec import Envelope
 from t4nmtd_dist.wire.fields import shortened
-from t4nmtd_dist.wire.gate import Arrival
 from t4nmtd_dist.wire.messages import Failure, StatusRequest
+from t4nmtd_dist.wire.secure_receiver import Arrival
 
 TICK_S = 0.1
 PUBLISH_S = 0.2

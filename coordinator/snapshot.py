@@ -5,11 +5,11 @@ from __future__ import annotations
 import math
 from typing import Any
 
-from coordinator.records import LearnerRecord, add_interventions
+from coordinator.learner_registry import LearnerRecord, add_interventions
 from coordinator.state import CoordinatorState
 from coordinator.stuck import stuck_lines
 from coordinator.worker_commands import WorkerCommands
-from t4nmtd_dist import __version__
+from t4nmtd_dist.core.version import __version__
 from t4nmtd_dist.wire.messages import (
     DashboardState,
     EvaluationRow,

@@ -27,17 +27,17 @@ from coordinator.events import (
     Tell,
 )
 from coordinator.intake import Intake, usable
+from coordinator.learner_registry import LearnerRecord
 from coordinator.leases import Lease, LeaseTable
 from coordinator.numbering import numbered
 from coordinator.progress import ReceivedProgress, read_progress, stack_starts
-from coordinator.records import LearnerRecord
 from coordinator.refusals import live_lease, stale_evaluator, unknown_pid
 from coordinator.stand_ins import StandIns
 from coordinator.stuck import StuckWatch
-from t4nmtd_dist.compiled import CompiledTask
-from t4nmtd_dist.errors import ProtocolError
-from t4nmtd_dist.initial_state_buffer import InitialStateBuffer
-from t4nmtd_dist.learners.actors import acting_parameters
+from t4nmtd_dist.agents.actors import acting_parameters
+from t4nmtd_dist.core.errors import ProtocolError
+from t4nmtd_dist.method.compiled import CompiledTask
+from t4nmtd_dist.method.start_states import InitialStateBuffer
 from t4nmtd_dist.runs.report import solved_text
 from t4nmtd_dist.wire.codec import with_prefix, without_prefix
 from t4nmtd_dist.wire.limits import most_starts

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 
-from coordinator.records import LearnerRecord
-from t4nmtd_dist.compiled import CompiledTask
+from coordinator.learner_registry import LearnerRecord
+from t4nmtd_dist.method.compiled import CompiledTask
 from t4nmtd_dist.wire.messages import LearnerStats
 
 MANY_ATTEMPTS = 2000

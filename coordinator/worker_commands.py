@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from coordinator.numbering import numbered
-from t4nmtd_dist.errors import ConfigError
+from t4nmtd_dist.core.errors import ConfigError
 from t4nmtd_dist.wire.addresses import EVERYWHERE, LOOPBACK, address_towards, split_endpoint
 from t4nmtd_dist.wire.endpoints import DEFAULT_CONTROL
 

@@ -1,3 +1,5 @@
 """T4NMTD: transition-centric reinforcement learning for non-Markovian tasks, distributed."""
 
-__version__ = "0.1.0"
+from t4nmtd_dist.core.version import __version__
+
+__all__ = ["__version__"]

@@ -11,8 +11,8 @@ from small_tasks import small_task
 
 from coordinator.events import Action, Received, Send, Tick
 from coordinator.state import CoordinatorState, RunSettings
-from t4nmtd_dist.compiled import CompiledTask
-from t4nmtd_dist.learners.weight_checks import NetworkSizes, expected_shapes
+from t4nmtd_dist.agents.weight_checks import NetworkSizes, expected_shapes
+from t4nmtd_dist.method.compiled import CompiledTask
 from t4nmtd_dist.wire.codec import Envelope
 from t4nmtd_dist.wire.messages import Claim, Granted, LearnerStats, Message, Refused, Sync, SyncReply
 

@@ -8,13 +8,13 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from t4nmtd_dist.compiled import CompiledTask, compile_task
-from t4nmtd_dist.initial_state_buffer import InitialStateBuffer
-from t4nmtd_dist.learners.build import build_learner
-from t4nmtd_dist.learners.networks import part_of
-from t4nmtd_dist.learners.peers import LocalPeers, PeerValues, Questions
-from t4nmtd_dist.learners.sac import SACLearner
-from t4nmtd_dist.learners.sac_update import SACUpdater
+from t4nmtd_dist.agents.common.networks import part_of
+from t4nmtd_dist.agents.common.peer_values import LocalPeers, PeerValues, Questions
+from t4nmtd_dist.agents.registry import build_learner
+from t4nmtd_dist.agents.sac.agent import SACLearner
+from t4nmtd_dist.agents.sac.fast_cpu.update import SACUpdater
+from t4nmtd_dist.method.compiled import CompiledTask, compile_task
+from t4nmtd_dist.method.start_states import InitialStateBuffer
 from t4nmtd_dist.tasks import load_task
 
 torch.set_num_threads(1)

@@ -10,13 +10,13 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from t4nmtd_dist.compiled import CompiledTask, compile_task
-from t4nmtd_dist.config import LearnerConfig, TaskConfig
-from t4nmtd_dist.initial_state_buffer import InitialStateBuffer
-from t4nmtd_dist.learners.build import build_learner
-from t4nmtd_dist.learners.ppo import PPOLearner
+from t4nmtd_dist.agents.ppo.agent import PPOLearner
+from t4nmtd_dist.agents.registry import build_learner
+from t4nmtd_dist.core.config import LearnerConfig, TaskConfig
+from t4nmtd_dist.environments.batched import make_world
+from t4nmtd_dist.method.compiled import CompiledTask, compile_task
+from t4nmtd_dist.method.start_states import InitialStateBuffer
 from t4nmtd_dist.tasks import load_task
-from t4nmtd_dist.worlds import make_world
 
 torch.set_num_threads(1)
 

@@ -9,10 +9,10 @@ from typing import Any
 
 import numpy as np
 
-from t4nmtd_dist.compiled import compile_task
-from t4nmtd_dist.config import EnvironmentConfig, TaskConfig
+from t4nmtd_dist.core.config import EnvironmentConfig, TaskConfig
+from t4nmtd_dist.method.compiled import compile_task
+from t4nmtd_dist.policy.export import POLICY_FILE, export_policy
 from t4nmtd_dist.runs.directory import RunDirectory
-from t4nmtd_dist.runs.exported import POLICY_FILE, export_policy
 from t4nmtd_dist.runs.resuming import new_identity, write_identity
 from t4nmtd_dist.tasks import load_task
 

@@ -22,16 +22,16 @@ from t4nmtd_dist.automata.acceptance import LAST, acceptance_of, with_last
 from t4nmtd_dist.automata.formula import parse, satisfies
 from t4nmtd_dist.automata.translate import translate
 from t4nmtd_dist.cli.commands import Check, Inspect
-from t4nmtd_dist.compiled import CompiledTask, compile_task
-from t4nmtd_dist.decomposition import Keep, decompose
+from t4nmtd_dist.core.errors import FormulaError, PolicyError, WorldError
 from t4nmtd_dist.environments.preparation import prepared
-from t4nmtd_dist.errors import FormulaError, PolicyError, WorldError
-from t4nmtd_dist.evaluation import Evaluator
+from t4nmtd_dist.environments.timed import TimedWorld, make_task_world
 from t4nmtd_dist.launch.serial import SerialRun
-from t4nmtd_dist.policy import GlobalPolicy, load
-from t4nmtd_dist.runs.exported import export_policy
+from t4nmtd_dist.method.compiled import CompiledTask, compile_task
+from t4nmtd_dist.method.decomposition import Keep, decompose
+from t4nmtd_dist.policy.evaluation import Evaluator
+from t4nmtd_dist.policy.export import export_policy
+from t4nmtd_dist.policy.global_policy import GlobalPolicy, load
 from t4nmtd_dist.tasks import load_task, task_names
-from t4nmtd_dist.timed_world import TimedWorld, make_task_world
 
 HERE = Path(__file__).parent
 ALL = np.arange(2)
@@ -342,7 +342,7 @@ def test_check_warns_of_a_discount_that_forgets_the_end(tmp_path: Path, capsys: 
 def test_the_dashboard_says_so(tmp_path: Path) -> None:
     from rich.console import Console
 
-    from coordinator.dashboard import render
+    from coordinator.ui.dashboard import render
 
     run = SerialRun(guarded(tmp_path, SAFETY), RunSettings(0, 1000, lease_s=float("inf")), lambda: 0.0)
     state = dashboard_state(run.coordinator)

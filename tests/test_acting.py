@@ -14,10 +14,10 @@ from numpy.typing import NDArray
 from small_sac import small_sac, small_sac_task
 from small_tasks import CARRYING_2, START, small_learner, small_task
 
-from t4nmtd_dist.errors import PolicyError
-from t4nmtd_dist.learners import sac_networks
-from t4nmtd_dist.policy import GlobalPolicy, load
-from t4nmtd_dist.runs.exported import POLICY_FILE, export_policy
+from t4nmtd_dist.agents.sac import networks as sac_networks
+from t4nmtd_dist.core.errors import PolicyError
+from t4nmtd_dist.policy.export import POLICY_FILE, export_policy
+from t4nmtd_dist.policy.global_policy import GlobalPolicy, load
 
 PROBABILITIES = (0.6, 0.3, 0.1, 0.0, 0.0, 0.0)
 LAKE = np.zeros(83, np.float32)

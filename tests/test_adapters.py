@@ -16,16 +16,16 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from own_environments import LEFT, LENGTH, RIGHT
 
-from t4nmtd_dist.config import EnvironmentConfig
+from t4nmtd_dist.core.config import EnvironmentConfig
+from t4nmtd_dist.core.errors import WorldError
 from t4nmtd_dist.environments.attribute_state import CannotRestoreError, pack, restored
-from t4nmtd_dist.environments.copies import EnvironmentCopy
+from t4nmtd_dist.environments.batched import BatchedWorld, LoopedWorld, make_world
 from t4nmtd_dist.environments.observations import flattener
 from t4nmtd_dist.environments.restoring import choose_snapshots, chosen, with_snapshots
 from t4nmtd_dist.environments.restoring_words import difference
-from t4nmtd_dist.errors import WorldError
+from t4nmtd_dist.environments.single_env import EnvironmentCopy
 from t4nmtd_dist.wire.codec import Envelope, decode, encode
 from t4nmtd_dist.wire.messages import Release
-from t4nmtd_dist.worlds import BatchedWorld, LoopedWorld, make_world
 
 HERE = str(Path(__file__).parent)
 NAMES = ("left", "right", "again")

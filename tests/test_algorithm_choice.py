@@ -13,12 +13,12 @@ from small_tasks import TINY, own_task
 
 from coordinator.state import RunSettings
 from t4nmtd_dist.cli.check import check
-from t4nmtd_dist.compiled import CompiledTask, compile_task
-from t4nmtd_dist.config import EnvironmentConfig, LearnerConfig, TaskConfig, task_config
+from t4nmtd_dist.core.config import EnvironmentConfig, LearnerConfig, TaskConfig, task_config
+from t4nmtd_dist.core.errors import WorldError
 from t4nmtd_dist.environments.decisions import with_algorithm
 from t4nmtd_dist.environments.preparation import prepared
-from t4nmtd_dist.errors import WorldError
 from t4nmtd_dist.launch.serial import SerialRun
+from t4nmtd_dist.method.compiled import CompiledTask, compile_task
 from t4nmtd_dist.runs.resuming import read_stopped_run
 from t4nmtd_dist.tasks import load_task, task_names
 

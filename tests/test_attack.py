@@ -13,9 +13,9 @@ import psutil
 import pytest
 from processes import Processes, endpoints, events, processes_of
 
-from t4nmtd_dist.wire.inquiry import ask_status
 from t4nmtd_dist.wire.messages import DashboardState
 from t4nmtd_dist.wire.sockets import new_context
+from t4nmtd_dist.wire.status_client import ask_status
 
 MALFORMED = 100_000
 SOLVE_S = 240.0

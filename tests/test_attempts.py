@@ -23,8 +23,8 @@ from small_tasks import (
     snapshot_after,
 )
 
-from t4nmtd_dist.learners.attempts import NO_TARGET, Attempts, AttemptStep
-from t4nmtd_dist.learners.peers import NoPeers
+from t4nmtd_dist.agents.common.peer_values import NoPeers
+from t4nmtd_dist.agents.common.rollout import NO_TARGET, Attempts, AttemptStep
 
 WORLDS = 4
 WITH_2 = snapshot_after(*TO_PASSENGER_2, PICK)

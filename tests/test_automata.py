@@ -21,7 +21,7 @@ from t4nmtd_dist.automata.macros import strict_then, then
 from t4nmtd_dist.automata.minimise import check_size
 from t4nmtd_dist.automata.mona import find_mona, mona_program, read_table
 from t4nmtd_dist.automata.translate import Translator, translate
-from t4nmtd_dist.errors import ConfigError, FormulaError, TranslationError
+from t4nmtd_dist.core.errors import ConfigError, FormulaError, TranslationError
 
 SIZES = {1: (17, 65), 2: (26, 106), 3: (5, 11), 4: (9, 25), 5: (6, 15), 6: (18, 69), 7: (6, 26), 8: (11, 47)}
 

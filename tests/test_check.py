@@ -12,7 +12,7 @@ import pytest
 from small_tasks import own_task
 
 from t4nmtd_dist.cli.check import check
-from t4nmtd_dist.errors import ConfigError, WorldError
+from t4nmtd_dist.core.errors import ConfigError, WorldError
 
 HERE = Path(__file__).parent
 

@@ -17,7 +17,8 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import array_shapes, arrays
 from safetensors.numpy import load_file
 
-from t4nmtd_dist.errors import RunError
+from t4nmtd_dist.core.errors import RunError
+from t4nmtd_dist.core.state_dict import copied, joined, split
 from t4nmtd_dist.runs import checkpoints
 from t4nmtd_dist.runs.array_file import array_file_parts
 from t4nmtd_dist.runs.background import BackgroundWriter
@@ -30,7 +31,6 @@ from t4nmtd_dist.runs.checkpoints import (
     write_checkpoint,
 )
 from t4nmtd_dist.runs.resuming import checkpoint_folder
-from t4nmtd_dist.runs.state_tree import copied, joined, split
 
 FILES = (MANIFEST_FILE, STATE_FILE, ARRAYS_FILE)
 ABOUT = {"run_id": "r", "place": "p1"}

@@ -17,7 +17,7 @@ from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 from numpy.typing import NDArray
 
-from t4nmtd_dist.errors import ProtocolError
+from t4nmtd_dist.core.errors import ProtocolError
 from t4nmtd_dist.wire import codec
 from t4nmtd_dist.wire.codec import DTYPES, Envelope, decode, encode, with_prefix, without_prefix
 from t4nmtd_dist.wire.fields import LARGEST_COUNT, LONGEST_NAME, PRINTABLE, shortened

@@ -11,7 +11,11 @@ import pytest
 
 from t4nmtd_dist import __version__
 
-MODULES = {"t4nmtd": "t4nmtd_dist.cli.main", "t4nmtd-coordinator": "coordinator", "t4nmtd-worker": "workers"}
+MODULES = {
+    "t4nmtd": "t4nmtd_dist.cli.main",
+    "t4nmtd-coordinator": "t4nmtd_dist.cli.coordinator",
+    "t4nmtd-worker": "t4nmtd_dist.cli.worker",
+}
 
 
 def run(program: str, *arguments: str) -> subprocess.CompletedProcess[str]:

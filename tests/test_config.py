@@ -11,8 +11,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 from small_tasks import own_task
 
-from t4nmtd_dist.config import TaskConfig, merge, settings_from_flags, task_config
-from t4nmtd_dist.errors import ConfigError
+from t4nmtd_dist.core.config import TaskConfig, merge, settings_from_flags, task_config
+from t4nmtd_dist.core.errors import ConfigError
 from t4nmtd_dist.tasks import load_task, task_names
 
 OWN = """

@@ -18,14 +18,14 @@ from hypothesis import strategies as st
 from small_tasks import small_task
 from test_sockets import DEADLINE_S, FREE_PORT, Running, answer, tell
 
-from coordinator.doors import Access
-from coordinator.keeping import StateKeeper, go_on
-from coordinator.recorder import Recorder
+from coordinator.checkpointing import StateKeeper, go_on
+from coordinator.endpoints import Access
+from coordinator.run_logger import Recorder
 from coordinator.service import CoordinatorService
 from coordinator.snapshot import dashboard_state, status, summary
 from coordinator.state import CoordinatorState, RunSettings
-from coordinator.viewer import watch
-from t4nmtd_dist.errors import ProtocolError, RunError
+from coordinator.ui.viewer import watch
+from t4nmtd_dist.core.errors import ProtocolError, RunError
 from t4nmtd_dist.wire.codec import Envelope, decode, encode
 from t4nmtd_dist.wire.fields import LARGEST_AMOUNT, LARGEST_COUNT
 from t4nmtd_dist.wire.messages import (
@@ -195,9 +195,9 @@ def mishaps(running: Running) -> list[str]:
 
 PARTS = {
     "coordinator.service.dashboard_state": "publishing the state",
-    "coordinator.recorder.Recorder.metrics": "recording metrics",
-    "coordinator.recorder.Recorder.record": "recording",
-    "coordinator.keeping.StateKeeper.turn": "keeping a checkpoint",
+    "coordinator.run_logger.Recorder.metrics": "recording metrics",
+    "coordinator.run_logger.Recorder.record": "recording",
+    "coordinator.checkpointing.StateKeeper.turn": "keeping a checkpoint",
     "coordinator.state.CoordinatorState._notice_lost": "following Tick",
 }
 
@@ -253,7 +253,7 @@ def test_a_page_that_cannot_be_drawn_ends_no_dashboard(
             raise BrokenError("by the test")
         return True
 
-    monkeypatch.setattr("coordinator.dashboard.LiveDashboard.show", fails_first)
+    monkeypatch.setattr("coordinator.ui.dashboard.LiveDashboard.show", fails_first)
     last = watch(running.context, running.service.publish, keep_going=lambda: len(drawn) < 5)
     assert last is not None
     assert capfd.readouterr().err.count("BrokenError: by the test") == 1

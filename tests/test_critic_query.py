@@ -14,11 +14,11 @@ import zmq
 from numpy.typing import NDArray
 from small_tasks import CARRYING_2, START, small_learner
 
-from t4nmtd_dist.learners.peers import NoPeers, PeerValues, Questions
-from t4nmtd_dist.learners.ppo import PATIENCE_S, PPOLearner
+from t4nmtd_dist.agents.common.peer_values import NoPeers, PeerValues, Questions
+from t4nmtd_dist.agents.ppo.agent import PATIENCE_S, PPOLearner
 from t4nmtd_dist.wire.codec import Envelope
-from t4nmtd_dist.wire.critic_client import QueryPeers
 from t4nmtd_dist.wire.messages import Failure, Message, Peer, Release, ValueReply, ValueRequest
+from t4nmtd_dist.wire.peers.critic_client import QueryPeers
 from t4nmtd_dist.wire.sockets import (
     Context,
     Socket,

@@ -18,7 +18,7 @@ from t4nmtd_dist.automata.cubes import (
     irredundant_cover,
     prime_implicants,
 )
-from t4nmtd_dist.errors import ConfigError
+from t4nmtd_dist.core.errors import ConfigError
 
 NAMES = ("a", "b", "c", "d")
 

@@ -11,7 +11,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from t4nmtd_dist.errors import RunError
+from t4nmtd_dist.core.errors import RunError
 from t4nmtd_dist.runs.curves import RunCurves, common_grid, mean_curve, read_run, step_values, student_t
 
 RESULTS = Path(__file__).parent.parent / "benchmarks" / "results"

@@ -15,11 +15,11 @@ from hypothesis import strategies as st
 from rich.cells import cell_len
 from rich.console import Console
 
-from coordinator import dashboard
-from coordinator.dashboard import LiveDashboard, export_svg, plain_line, render
-from coordinator.dashboard_tables import q_rows
-from coordinator.dashboard_text import curve, duration, resample
-from coordinator.terminal import PatientFile
+from coordinator.ui import dashboard
+from coordinator.ui.dashboard import LiveDashboard, export_svg, plain_line, render
+from coordinator.ui.tables import q_rows
+from coordinator.ui.terminal import PatientFile
+from coordinator.ui.text import curve, duration, resample
 from t4nmtd_dist.wire.messages import (
     DashboardState,
     EvaluationRow,
@@ -433,7 +433,7 @@ def on_pseudo_terminal(use: Callable[[int, Console], None]) -> None:
 
 
 def test_terminal_that_stops_reading_delays_nobody(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("coordinator.terminal.FLUSH_WAIT_S", 0.0)
+    monkeypatch.setattr("coordinator.ui.terminal.FLUSH_WAIT_S", 0.0)
     monkeypatch.setattr(dashboard, "LAST_WORDS_S", 0.0)
     ticks = iter(range(1000))
 

@@ -11,9 +11,9 @@ from hypothesis import strategies as st
 from small_sac import PIDS
 from small_tasks import small_learner
 
-from t4nmtd_dist.errors import ConfigError
+from t4nmtd_dist.agents.common.peer_values import LocalPeers, Questions
+from t4nmtd_dist.core.errors import ConfigError
 from t4nmtd_dist.launch.local import dealt
-from t4nmtd_dist.learners.peers import LocalPeers, Questions
 
 
 @given(st.integers(1, 30).flatmap(lambda count: st.tuples(st.just(count), st.integers(1, count))))

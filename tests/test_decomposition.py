@@ -18,8 +18,8 @@ from t4nmtd_dist.automata.dfa import DFA
 from t4nmtd_dist.automata.reduction import reduce_automaton
 from t4nmtd_dist.automata.simple_paths import Edge, edges_on_simple_paths, simple_path_lengths
 from t4nmtd_dist.automata.translate import translate
-from t4nmtd_dist.decomposition import Decomposition, Mode, decompose
-from t4nmtd_dist.errors import ConfigError
+from t4nmtd_dist.core.errors import ConfigError
+from t4nmtd_dist.method.decomposition import Decomposition, Mode, decompose
 
 COLOURS = ("red", "blue", "green", "black", "white", "grey")
 EXPECTED = {

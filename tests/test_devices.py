@@ -10,17 +10,17 @@ import torch
 from devices import GPU, needs_no_gpu
 from small_tasks import START, TO_PASSENGER_2, small_learner, small_task, snapshot_after
 
+from t4nmtd_dist.agents.common.flat_adam import FlatAdam
+from t4nmtd_dist.agents.common.peer_values import NoPeers
+from t4nmtd_dist.agents.ppo.agent import ActorCritic
+from t4nmtd_dist.agents.registry import build_learner
 from t4nmtd_dist.cli import train as train_module
 from t4nmtd_dist.cli.commands import Train
-from t4nmtd_dist.devices import Device, check_device
-from t4nmtd_dist.errors import ConfigError, RunError
-from t4nmtd_dist.initial_state_buffer import InitialStateBuffer
-from t4nmtd_dist.learners.build import build_learner
-from t4nmtd_dist.learners.flat_adam import FlatAdam
-from t4nmtd_dist.learners.peers import NoPeers
-from t4nmtd_dist.learners.ppo import ActorCritic
-from workers.__main__ import WorkerCommand
-from workers.__main__ import run as run_worker
+from t4nmtd_dist.cli.worker import WorkerCommand
+from t4nmtd_dist.cli.worker import run as run_worker
+from t4nmtd_dist.core.devices import Device, check_device
+from t4nmtd_dist.core.errors import ConfigError, RunError
+from t4nmtd_dist.method.start_states import InitialStateBuffer
 
 torch.set_num_threads(1)
 

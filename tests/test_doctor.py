@@ -13,13 +13,13 @@ import pytest
 import zmq
 from small_tasks import small_task
 
-from coordinator.doors import Access
+from coordinator.endpoints import Access
 from coordinator.service import CoordinatorService
 from coordinator.state import CoordinatorState, RunSettings
 from t4nmtd_dist.cli import doctor
 from t4nmtd_dist.cli.doctor import Finding, examine, findings
-from t4nmtd_dist.wire.key_folders import add_client, make_coordinator_folder, revoke
-from t4nmtd_dist.wire.keys import new_pair, write_public
+from t4nmtd_dist.wire.auth.key_folders import add_client, make_coordinator_folder, revoke
+from t4nmtd_dist.wire.auth.keys import new_pair, write_public
 from t4nmtd_dist.wire.messages import PROTOCOL_VERSION
 from t4nmtd_dist.wire.sockets import Context, bind, bound_endpoint
 

@@ -23,10 +23,10 @@ from small_tasks import (
     small_task,
 )
 
-from t4nmtd_dist.compiled import CompiledTask, compile_task
-from t4nmtd_dist.errors import PolicyError
-from t4nmtd_dist.evaluation import Evaluator
-from t4nmtd_dist.policy import GlobalPolicy
+from t4nmtd_dist.core.errors import PolicyError
+from t4nmtd_dist.method.compiled import CompiledTask, compile_task
+from t4nmtd_dist.policy.evaluation import Evaluator
+from t4nmtd_dist.policy.global_policy import GlobalPolicy
 from t4nmtd_dist.tasks import load_task
 
 CELLS, ACTIONS, OBSERVATION = 64, 6, 83

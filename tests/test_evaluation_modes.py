@@ -12,13 +12,13 @@ from small_sac import small_sac_task
 from small_tasks import own_task, small_config
 
 from coordinator.state import RunSettings
-from t4nmtd_dist.compiled import CompiledTask, compile_task
-from t4nmtd_dist.config import EvaluationConfig, task_config
+from t4nmtd_dist.core.config import EvaluationConfig, task_config
+from t4nmtd_dist.core.errors import ConfigError
 from t4nmtd_dist.environments.preparation import prepared
-from t4nmtd_dist.errors import ConfigError
-from t4nmtd_dist.evaluation import Evaluator
 from t4nmtd_dist.launch.serial import SerialRun
-from t4nmtd_dist.policy import GlobalPolicy
+from t4nmtd_dist.method.compiled import CompiledTask, compile_task
+from t4nmtd_dist.policy.evaluation import Evaluator
+from t4nmtd_dist.policy.global_policy import GlobalPolicy
 from t4nmtd_dist.tasks import load_task, task_names
 from t4nmtd_dist.wire.codec import Envelope
 from t4nmtd_dist.wire.messages import EvaluationJob, EvaluationReport, Granted

@@ -13,8 +13,8 @@ from hypothesis import strategies as st
 from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
 
 from coordinator.events import RecordEvaluation
-from coordinator.recorder import Recorder
-from t4nmtd_dist.errors import ConfigError
+from coordinator.run_logger import Recorder
+from t4nmtd_dist.core.errors import ConfigError
 from t4nmtd_dist.runs import event_files
 from t4nmtd_dist.runs.directory import RunDirectory
 from t4nmtd_dist.runs.event_files import EventFiles, open_event_files

@@ -11,9 +11,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from t4nmtd_dist.errors import RunError
-from t4nmtd_dist.learners.experience import BEFORE_SUCCESS, Experience, Returns, RowSet
-from t4nmtd_dist.product import SubtaskTables
+from t4nmtd_dist.agents.common.replay_buffer import BEFORE_SUCCESS, Experience, Returns, RowSet
+from t4nmtd_dist.core.errors import RunError
+from t4nmtd_dist.method.rewards import SubtaskTables
 
 SIZE, ACTIONS = 3, 2
 

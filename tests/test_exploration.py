@@ -10,7 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from t4nmtd_dist.learners.exploration import FREQUENCIES, LONGEST_HOLD, HeldActionExploration, SinusoidExploration
+from t4nmtd_dist.agents.common.exploration import FREQUENCIES, LONGEST_HOLD, HeldActionExploration, SinusoidExploration
 
 Floats = NDArray[np.float32]
 

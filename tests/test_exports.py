@@ -19,15 +19,15 @@ from processes import Processes, endpoints
 from small_tasks import START, small_learner, small_task
 from test_coordinator_evaluations import Evaluated
 
+from coordinator.checkpointing import go_on
 from coordinator.events import Interrupted
-from coordinator.keeping import go_on
-from coordinator.recorder import Recorder
+from coordinator.run_logger import Recorder
 from coordinator.saved_state import saved_state
-from t4nmtd_dist.errors import PolicyError
-from t4nmtd_dist.policy import load
+from t4nmtd_dist.core.errors import PolicyError
+from t4nmtd_dist.policy.export import POLICY_FILE, export_policy
+from t4nmtd_dist.policy.global_policy import load
 from t4nmtd_dist.runs.checkpoints import write_checkpoint
 from t4nmtd_dist.runs.directory import RunDirectory
-from t4nmtd_dist.runs.exported import POLICY_FILE, export_policy
 
 EXPORTS = 150
 

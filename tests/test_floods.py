@@ -15,11 +15,11 @@ from processes import Processes, endpoints, events
 
 from t4nmtd_dist.wire.codec import MAX_MESSAGE_BYTES, Envelope
 from t4nmtd_dist.wire.connection_guard import ConnectionGuard
-from t4nmtd_dist.wire.gate import Gate
-from t4nmtd_dist.wire.inquiry import ask_status
 from t4nmtd_dist.wire.limits import CONTROL_LIMITS, Limits
 from t4nmtd_dist.wire.messages import DashboardState, Release
+from t4nmtd_dist.wire.secure_receiver import Gate
 from t4nmtd_dist.wire.sockets import Context, bind, bound_endpoint, connect, new_context, receive, send, subscribe
+from t4nmtd_dist.wire.status_client import ask_status
 
 MIB = 1 << 20
 DEADLINE_S = 20.0

@@ -12,8 +12,8 @@ import pytest
 from coordinator_events import Conversation
 
 from coordinator.events import Finish, Tell
-from coordinator.recorder import Recorder
-from t4nmtd_dist.errors import RunError
+from coordinator.run_logger import Recorder
+from t4nmtd_dist.core.errors import RunError
 from t4nmtd_dist.runs.directory import RunDirectory
 
 

@@ -17,11 +17,11 @@ from t4nmtd_dist.automata.dfa import DFA
 from t4nmtd_dist.automata.formula import names_in_order
 from t4nmtd_dist.automata.reduction import allowed_letters, reduce_automaton
 from t4nmtd_dist.automata.translate import translate
-from t4nmtd_dist.compiled import compile_task
-from t4nmtd_dist.config import DecompositionConfig, TaskConfig, task_config
-from t4nmtd_dist.decomposition import Decomposition, decompose
-from t4nmtd_dist.errors import ConfigError, FormulaError
+from t4nmtd_dist.core.config import DecompositionConfig, TaskConfig, task_config
+from t4nmtd_dist.core.errors import ConfigError, FormulaError
 from t4nmtd_dist.launch.local import dealt
+from t4nmtd_dist.method.compiled import compile_task
+from t4nmtd_dist.method.decomposition import Decomposition, decompose
 from t4nmtd_dist.runs.directory import RunDirectory
 from t4nmtd_dist.runs.event_files import EventFiles
 from t4nmtd_dist.runs.file_names import file_name

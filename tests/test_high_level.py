@@ -10,8 +10,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from t4nmtd_dist.decomposition import Decomposition
-from t4nmtd_dist.high_level import QTable
+from t4nmtd_dist.method.decomposition import Decomposition
+from t4nmtd_dist.method.high_level import QTable
 
 # 0 -a-> 1, 0 -b-> 2, 0 -c-> 3 (accepting); 1 -a-> 3, 2 -b-> 3; 4 is the error state, 5 a state that nothing leaves.
 DECOMPOSITION = Decomposition({"a": ((0, 1), (1, 3)), "b": ((0, 2), (2, 3)), "c": ((0, 3),)})

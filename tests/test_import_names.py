@@ -22,9 +22,9 @@ import envs
 import workers
 from coordinator.bulletin import Bulletin
 from t4nmtd_dist.cli import programs
-from t4nmtd_dist.config import EnvironmentConfig
+from t4nmtd_dist.core.config import EnvironmentConfig
+from t4nmtd_dist.core.errors import WorldError
 from t4nmtd_dist.environments.opening import import_function, open_environment
-from t4nmtd_dist.errors import WorldError
 from t4nmtd_dist.tasks import load_task
 
 HERE = Path(__file__).parent
@@ -101,7 +101,7 @@ class Finder:  # as setuptools installs one
 
 sys.meta_path.append(Finder)
 sys.path.insert(0, {lib!r})
-from t4nmtd_dist.launch.import_names import check_import_names
+from t4nmtd_dist.process.import_names import check_import_names
 check_import_names()
 """
 

@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from t4nmtd_dist.initial_state_buffer import InitialStateBuffer, StartState, sample_starts
+from t4nmtd_dist.method.start_states import InitialStateBuffer, StartState, sample_starts
 
 additions = st.lists(st.tuples(st.integers(0, 3), st.integers(0, 9)), max_size=40)
 

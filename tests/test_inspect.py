@@ -15,8 +15,8 @@ from rich.console import Console
 from t4nmtd_dist.automata.drawing import draw_svg
 from t4nmtd_dist.automata.translate import translate
 from t4nmtd_dist.cli.inspect import formula_task, run_inspect
-from t4nmtd_dist.decomposition import decompose
-from t4nmtd_dist.errors import ConfigError
+from t4nmtd_dist.core.errors import ConfigError
+from t4nmtd_dist.method.decomposition import decompose
 
 SVG = "{http://www.w3.org/2000/svg}"
 BOTH = "F(a & X(F b)) & G(!(a & c))"

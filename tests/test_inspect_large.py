@@ -14,9 +14,9 @@ import pytest
 
 from t4nmtd_dist.automata import deadline
 from t4nmtd_dist.cli.commands import Inspect
-from t4nmtd_dist.compiled import compile_task
-from t4nmtd_dist.config import task_config
-from t4nmtd_dist.errors import ConfigError, T4NMTDError, TranslationError
+from t4nmtd_dist.core.config import task_config
+from t4nmtd_dist.core.errors import ConfigError, T4NMTDError, TranslationError
+from t4nmtd_dist.method.compiled import compile_task
 from t4nmtd_dist.tasks import load_task
 from t4nmtd_dist.wire.task_size import check_task_size
 

@@ -15,11 +15,10 @@ from numpy.typing import NDArray
 from small_sac import PIDS, START, TO_G2, TO_G3, small_sac
 from small_tasks import small_learner
 
-from t4nmtd_dist.learners.peers import LocalPeers, MixedPeers, NoPeers, PeerCritics, PeerValues, Questions
-from t4nmtd_dist.learners.ppo import PPOLearner
-from t4nmtd_dist.learners.sac import SACLearner
+from t4nmtd_dist.agents.common.peer_values import LocalPeers, MixedPeers, NoPeers, PeerCritics, PeerValues, Questions
+from t4nmtd_dist.agents.ppo.agent import PPOLearner
+from t4nmtd_dist.agents.sac.agent import SACLearner
 from t4nmtd_dist.wire.codec import Envelope
-from t4nmtd_dist.wire.critic_client import GATHERINGS_PER_REQUEST, ROWS_PER_REQUEST, QueryPeers
 from t4nmtd_dist.wire.messages import (
     Failure,
     Message,
@@ -29,7 +28,8 @@ from t4nmtd_dist.wire.messages import (
     WeightsReply,
     WeightsRequest,
 )
-from t4nmtd_dist.wire.replica import FIRST_PULL_EVERY_S, PULL_EVERY_S, ReplicaPeers
+from t4nmtd_dist.wire.peers.critic_client import GATHERINGS_PER_REQUEST, ROWS_PER_REQUEST, QueryPeers
+from t4nmtd_dist.wire.peers.replica import FIRST_PULL_EVERY_S, PULL_EVERY_S, ReplicaPeers
 from t4nmtd_dist.wire.sockets import (
     Context,
     Socket,

@@ -11,7 +11,7 @@ import pytest
 from processes import LOOPBACK, Processes, endpoints
 from small_tasks import TINY, own_task
 
-from t4nmtd_dist.policy import load
+from t4nmtd_dist.policy.global_policy import load
 
 HERE = Path(__file__).parent
 JOINT = f"""

@@ -17,19 +17,15 @@ from hypothesis import given
 from hypothesis import strategies as st
 from small_tasks import small_learner, small_task
 
-from coordinator.doors import Access, Doors
+from coordinator.endpoints import Access, Doors
 from coordinator.service import CoordinatorService
 from coordinator.state import CoordinatorState, RunSettings
-from t4nmtd_dist.errors import ConfigError, KeyFileError, RunError
-from t4nmtd_dist.learners.peers import PeerValues, Questions
+from t4nmtd_dist.agents.common.peer_values import PeerValues, Questions
+from t4nmtd_dist.core.errors import ConfigError, KeyFileError, RunError
 from t4nmtd_dist.wire import limits
-from t4nmtd_dist.wire.allow_list import AllowedFolder
-from t4nmtd_dist.wire.codec import Envelope
-from t4nmtd_dist.wire.critic_client import QueryPeers
-from t4nmtd_dist.wire.gate import Gate
-from t4nmtd_dist.wire.handshake import HandshakeMonitor, Outcome
-from t4nmtd_dist.wire.inquiry import ask_status
-from t4nmtd_dist.wire.key_folders import (
+from t4nmtd_dist.wire.auth.allow_list import AllowedFolder
+from t4nmtd_dist.wire.auth.handshake import HandshakeMonitor, Outcome
+from t4nmtd_dist.wire.auth.key_folders import (
     add_client,
     allow,
     listed_clients,
@@ -37,9 +33,12 @@ from t4nmtd_dist.wire.key_folders import (
     make_coordinator_folder,
     revoke,
 )
-from t4nmtd_dist.wire.keys import ClientKeys, load_client, load_coordinator, new_pair, read_secret, write_secret
+from t4nmtd_dist.wire.auth.keys import ClientKeys, load_client, load_coordinator, new_pair, read_secret, write_secret
+from t4nmtd_dist.wire.codec import Envelope
 from t4nmtd_dist.wire.messages import Claim, Failure, Granted, LearnerStats, Message, Peer, Sync, SyncReply
-from t4nmtd_dist.wire.notices import Notices
+from t4nmtd_dist.wire.peers.critic_client import QueryPeers
+from t4nmtd_dist.wire.rate_limited_log import Notices
+from t4nmtd_dist.wire.secure_receiver import Gate
 from t4nmtd_dist.wire.sockets import (
     Context,
     Socket,
@@ -51,6 +50,7 @@ from t4nmtd_dist.wire.sockets import (
     send,
     subscribe,
 )
+from t4nmtd_dist.wire.status_client import ask_status
 from workers.critic_service import CriticService
 
 DEADLINE_S = 20.0
@@ -177,7 +177,7 @@ def test_a_file_is_never_overwritten(tmp_path: Path) -> None:
 
 
 def test_a_running_program_sees_the_list_change(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("t4nmtd_dist.wire.allow_list.REREAD_S", 0.0)
+    monkeypatch.setattr("t4nmtd_dist.wire.auth.allow_list.REREAD_S", 0.0)
     told: list[str] = []
     allowed = AllowedFolder(folder, "always", told.append)
     key = load_client(client_of(folder)).own.public
@@ -196,7 +196,7 @@ def test_a_running_program_sees_the_list_change(folder: Path, monkeypatch: pytes
 def test_a_revocation_that_another_thread_saw_first_is_acted_upon(
     folder: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("t4nmtd_dist.wire.allow_list.REREAD_S", 0.0)
+    monkeypatch.setattr("t4nmtd_dist.wire.auth.allow_list.REREAD_S", 0.0)
     key = load_client(client_of(folder)).own.public
     doors = Doors(Access("tcp://127.0.0.1:*", "tcp://127.0.0.1:*", folder))
     try:
@@ -333,7 +333,7 @@ def soon(holds: Callable[[], object]) -> None:
 @pytest.fixture
 def running(folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Running]:
     monkeypatch.setattr("coordinator.service.FAREWELL_S", 0.0)
-    monkeypatch.setattr("t4nmtd_dist.wire.allow_list.REREAD_S", 0.05)
+    monkeypatch.setattr("t4nmtd_dist.wire.auth.allow_list.REREAD_S", 0.05)
     state = CoordinatorState(small_task(), RunSettings(seed=0, max_interactions=1000))
     service = CoordinatorService(state, tmp_path / "run", Access(FREE_PORT, FREE_PORT, folder))
     thread = threading.Thread(target=service.serve, daemon=True)

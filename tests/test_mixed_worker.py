@@ -13,14 +13,14 @@ import pytest
 from small_sac import small_sac_task
 from small_tasks import START, TO_PASSENGER_2, small_task, snapshot_after
 
-from coordinator.doors import Access
+from coordinator.endpoints import Access
 from coordinator.service import CoordinatorService
 from coordinator.state import CoordinatorState, RunSettings
-from t4nmtd_dist.learners.experience import Experience
-from t4nmtd_dist.learners.peers import MixedPeers, PeerCritics
-from t4nmtd_dist.learners.sac import SACLearner
-from t4nmtd_dist.wire.critic_client import QueryPeers
-from t4nmtd_dist.wire.replica import ReplicaPeers
+from t4nmtd_dist.agents.common.peer_values import MixedPeers, PeerCritics
+from t4nmtd_dist.agents.common.replay_buffer import Experience
+from t4nmtd_dist.agents.sac.agent import SACLearner
+from t4nmtd_dist.wire.peers.critic_client import QueryPeers
+from t4nmtd_dist.wire.peers.replica import ReplicaPeers
 from workers.worker import Worker, WorkerOptions
 
 FREE_PORT = "tcp://127.0.0.1:*"

@@ -15,18 +15,18 @@ from numpy.typing import NDArray
 from small_tasks import TINY, own_task
 
 from coordinator.state import RunSettings
-from t4nmtd_dist.compiled import CompiledTask, compile_task
+from t4nmtd_dist.agents.common.normalisation import LIMIT, Normalisation
+from t4nmtd_dist.agents.common.peer_values import LocalPeers, NoPeers, PeerValues, Questions
+from t4nmtd_dist.agents.protocol import Learner
+from t4nmtd_dist.agents.registry import build_learner
+from t4nmtd_dist.core.errors import PolicyError
 from t4nmtd_dist.environments.preparation import prepared
-from t4nmtd_dist.errors import PolicyError
-from t4nmtd_dist.initial_state_buffer import InitialStateBuffer
 from t4nmtd_dist.launch.serial import SerialRun
-from t4nmtd_dist.learners.build import build_learner
-from t4nmtd_dist.learners.normalisation import LIMIT, Normalisation
-from t4nmtd_dist.learners.peers import LocalPeers, NoPeers, PeerValues, Questions
-from t4nmtd_dist.learners.protocol import Learner
-from t4nmtd_dist.policy import GlobalPolicy, load
+from t4nmtd_dist.method.compiled import CompiledTask, compile_task
+from t4nmtd_dist.method.start_states import InitialStateBuffer
+from t4nmtd_dist.policy.export import export_policy
+from t4nmtd_dist.policy.global_policy import GlobalPolicy, load
 from t4nmtd_dist.runs.checkpoints import newest_checkpoint, write_checkpoint
-from t4nmtd_dist.runs.exported import export_policy
 from t4nmtd_dist.tasks import load_task
 
 HERE = Path(__file__).parent

@@ -13,12 +13,12 @@ from hypothesis import given
 from hypothesis import strategies as st
 from own_environments import LEFT, LENGTH
 
-from t4nmtd_dist.config import EnvironmentConfig
+from t4nmtd_dist.core.config import EnvironmentConfig
+from t4nmtd_dist.core.errors import WorldError
+from t4nmtd_dist.environments.batched import make_world
 from t4nmtd_dist.environments.observation_range import ObservationRange
 from t4nmtd_dist.environments.observations import flattener
-from t4nmtd_dist.errors import WorldError
 from t4nmtd_dist.tasks import load_task, task_names
-from t4nmtd_dist.worlds import make_world
 
 HERE = str(Path(__file__).parent)
 ONE = np.array([0])

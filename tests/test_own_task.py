@@ -18,16 +18,16 @@ from processes import Processes
 from small_tasks import TINY, own_task
 
 from coordinator.state import RunSettings
-from t4nmtd_dist.compiled import CompiledTask, compile_task
-from t4nmtd_dist.config import EnvironmentConfig, task_config
+from t4nmtd_dist.core.config import EnvironmentConfig, task_config
+from t4nmtd_dist.core.errors import WorldError
 from t4nmtd_dist.environments import restoring
+from t4nmtd_dist.environments.batched import make_world
 from t4nmtd_dist.environments.opening import import_module
 from t4nmtd_dist.environments.preparation import prepared
-from t4nmtd_dist.errors import WorldError
 from t4nmtd_dist.launch.serial import SerialRun
-from t4nmtd_dist.product import LetterReader
+from t4nmtd_dist.method.compiled import CompiledTask, compile_task
+from t4nmtd_dist.method.rewards import LetterReader
 from t4nmtd_dist.tasks import is_bundled, load_task
-from t4nmtd_dist.worlds import make_world
 
 ROOT = Path(__file__).parent.parent
 EXAMPLE = ROOT / "examples" / "mountain_car.toml"
@@ -115,8 +115,8 @@ def test_a_worker_elsewhere_goes_on_where_another_arrived(tmp_path: Path) -> Non
     code = """
 import json, sys
 import numpy as np
-from t4nmtd_dist.config import task_config
-from t4nmtd_dist.worlds import make_world
+from t4nmtd_dist.core.config import task_config
+from t4nmtd_dist.environments.batched import make_world
 sent = json.load(sys.stdin)
 config = task_config(sent["task"])
 world = make_world(config.environment, 1, config.propositions)
@@ -255,7 +255,7 @@ def test_the_packages_own_tasks_are_checked_if_changed_in_what_they_need(
 def test_preparing_one_of_the_packages_own_tasks_imports_nothing_heavy() -> None:
     code = """
 import sys
-from t4nmtd_dist.compiled import compile_task
+from t4nmtd_dist.method.compiled import compile_task
 from t4nmtd_dist.environments.preparation import prepared
 from t4nmtd_dist.tasks import load_task
 prepared(compile_task(load_task("task7"), translator="python"))

@@ -10,7 +10,7 @@ import pytest
 from PIL import Image
 
 from t4nmtd_dist.cli.plot import draw, grouped, plot
-from t4nmtd_dist.errors import ConfigError, RunError, T4NMTDError
+from t4nmtd_dist.core.errors import ConfigError, RunError, T4NMTDError
 
 RESULTS = Path(__file__).parent.parent / "benchmarks" / "results"
 TASK7 = [RESULTS / f"task7-s{seed}" for seed in range(3)]

@@ -17,11 +17,11 @@ from numpy.typing import NDArray
 from safetensors.numpy import load_file, save_file
 from small_tasks import ACCEPTING, CARRYING_2, ERROR, PICK, START, TO_GOAL, TO_PASSENGER_2, small_learner, small_task
 
-from t4nmtd_dist.errors import PolicyError
-from t4nmtd_dist.learners.networks import product_state
-from t4nmtd_dist.learners.ppo import PPOLearner
-from t4nmtd_dist.policy import GlobalPolicy, load
-from t4nmtd_dist.runs.exported import ACTORS_FILE, POLICY_FILE, export_policy
+from t4nmtd_dist.agents.common.networks import product_state
+from t4nmtd_dist.agents.ppo.agent import PPOLearner
+from t4nmtd_dist.core.errors import PolicyError
+from t4nmtd_dist.policy.export import ACTORS_FILE, POLICY_FILE, export_policy
+from t4nmtd_dist.policy.global_policy import GlobalPolicy, load
 
 Q_TABLE = [(START, "p2", 5.0), (START, "p1", 1.0), (CARRYING_2, "g", 9.0), (CARRYING_2, "p1", 2.0)]
 PIDS = ("g", "p1", "p2", "p3")

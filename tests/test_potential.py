@@ -13,9 +13,9 @@ from hypothesis import strategies as st
 
 from t4nmtd_dist.automata.dfa import DFA
 from t4nmtd_dist.automata.translate import translate
-from t4nmtd_dist.decomposition import decompose
-from t4nmtd_dist.errors import ConfigError
-from t4nmtd_dist.potential import distances, potentials
+from t4nmtd_dist.core.errors import ConfigError
+from t4nmtd_dist.method.decomposition import decompose
+from t4nmtd_dist.method.potential import distances, potentials
 
 
 def task(name: str) -> tuple[DFA, list[list[str]]]:

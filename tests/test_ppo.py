@@ -13,8 +13,15 @@ from hypothesis.extra import numpy as hnp
 from numpy.typing import NDArray
 from small_tasks import CARRYING_2, PICK, START, TO_GOAL, TO_PASSENGER_2, small_learner, small_task, snapshot_after
 
-from t4nmtd_dist.learners.peers import InterventionCounts, LocalPeers, NoPeers, PeerCritics, PeerValues, Questions
-from t4nmtd_dist.learners.ppo import PPOLearner, generalised_advantages
+from t4nmtd_dist.agents.common.peer_values import (
+    InterventionCounts,
+    LocalPeers,
+    NoPeers,
+    PeerCritics,
+    PeerValues,
+    Questions,
+)
+from t4nmtd_dist.agents.ppo.agent import PPOLearner, generalised_advantages
 
 Floats = NDArray[np.float32]
 

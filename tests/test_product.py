@@ -9,11 +9,11 @@ from hypothesis import strategies as st
 from small_tasks import small_task
 
 from t4nmtd_dist.automata.dfa import DFA
-from t4nmtd_dist.compiled import CompiledTask, compile_task
-from t4nmtd_dist.config import Shaping
-from t4nmtd_dist.decomposition import Decomposition
-from t4nmtd_dist.errors import WorldError
-from t4nmtd_dist.product import LetterReader, SubtaskTables, subtask_tables
+from t4nmtd_dist.core.config import Shaping
+from t4nmtd_dist.core.errors import WorldError
+from t4nmtd_dist.method.compiled import CompiledTask, compile_task
+from t4nmtd_dist.method.decomposition import Decomposition
+from t4nmtd_dist.method.rewards import LetterReader, SubtaskTables, subtask_tables
 from t4nmtd_dist.tasks import load_task
 
 GAMMA = 0.9

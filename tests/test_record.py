@@ -12,16 +12,16 @@ import numpy as np
 import pytest
 from small_tasks import own_task
 
-from t4nmtd_dist.action_modes import ActionMode
 from t4nmtd_dist.cli import record as command
 from t4nmtd_dist.cli.record import record
-from t4nmtd_dist.compiled import compile_task
-from t4nmtd_dist.decomposition import Decomposition
+from t4nmtd_dist.core.action_modes import ActionMode
+from t4nmtd_dist.core.errors import ConfigError, T4NMTDError, WorldError
 from t4nmtd_dist.environments.trusted_code import remember
-from t4nmtd_dist.errors import ConfigError, T4NMTDError, WorldError
-from t4nmtd_dist.policy import GlobalPolicy, load
-from t4nmtd_dist.recording import BANNER_HEIGHT, LEAST_WIDTH, captioned, open_for_recording, play
-from t4nmtd_dist.runs.exported import export_policy
+from t4nmtd_dist.method.compiled import compile_task
+from t4nmtd_dist.method.decomposition import Decomposition
+from t4nmtd_dist.policy.export import export_policy
+from t4nmtd_dist.policy.global_policy import GlobalPolicy, load
+from t4nmtd_dist.policy.recording import BANNER_HEIGHT, LEAST_WIDTH, captioned, open_for_recording, play
 from t4nmtd_dist.tasks import load_task
 
 HERE = Path(__file__).parent

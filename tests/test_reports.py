@@ -18,10 +18,10 @@ from small_tasks import own_task
 from test_coordinator_evaluations import Evaluated
 from test_evaluation_modes import CORRIDOR
 
-from coordinator.dashboard import plain_line, render
-from coordinator.dashboard import summary as dashboard_summary
 from coordinator.events import Interrupted
 from coordinator.snapshot import dashboard_state, status, summary
+from coordinator.ui.dashboard import plain_line, render
+from coordinator.ui.dashboard import summary as dashboard_summary
 from t4nmtd_dist.cli import status as status_command
 from t4nmtd_dist.cli.commands import Command
 from t4nmtd_dist.runs.report import outcome_text

@@ -14,15 +14,15 @@ from pathlib import Path
 import pytest
 
 from coordinator.state import RunSettings
-from t4nmtd_dist.compiled import compile_task
 from t4nmtd_dist.launch.serial import SerialRun
-from t4nmtd_dist.runs.exported import export_policy
+from t4nmtd_dist.method.compiled import compile_task
+from t4nmtd_dist.policy.export import export_policy
 from t4nmtd_dist.tasks import load_task
 
 ROOT = Path(__file__).parent.parent
 PACKAGES = ("t4nmtd_dist", "coordinator", "workers", "envs")
-PROGRAMS = {"t4nmtd": "t4nmtd_dist.cli.main", "t4nmtd-coordinator": "coordinator.__main__"}
-PROGRAMS |= {"t4nmtd-worker": "workers.__main__"}
+PROGRAMS = {"t4nmtd": "t4nmtd_dist.cli.main", "t4nmtd-coordinator": "t4nmtd_dist.cli.coordinator"}
+PROGRAMS |= {"t4nmtd-worker": "t4nmtd_dist.cli.worker"}
 
 MOST_MODULE_LINES, MOST_FUNCTION_LINES = 500, 60
 HELP_S = 0.3

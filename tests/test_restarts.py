@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pytest
 
-from t4nmtd_dist.errors import BROKEN_ENVIRONMENT, RunError
+from t4nmtd_dist.core.errors import BROKEN_ENVIRONMENT, RunError
 from t4nmtd_dist.launch import local
 from t4nmtd_dist.launch.local import LocalProcesses
 

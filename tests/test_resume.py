@@ -14,20 +14,20 @@ from coordinator_events import Conversation, changes, starts, weights
 from small_sac import AT_G1, TO_G2, car_at, small_sac_task
 from small_tasks import START, TO_PASSENGER_2, small_task, snapshot_after
 
+from coordinator.checkpointing import go_on
 from coordinator.events import Interrupted
-from coordinator.keeping import go_on
 from coordinator.saved_state import load_saved_state, raise_counts, saved_counts, saved_state
 from coordinator.snapshot import summary
 from coordinator.state import RunSettings
-from t4nmtd_dist.compiled import CompiledTask
-from t4nmtd_dist.initial_state_buffer import InitialStateBuffer
+from t4nmtd_dist.agents.common.peer_values import NoPeers
+from t4nmtd_dist.agents.registry import build_learner
+from t4nmtd_dist.core.state_dict import copied, joined, split
 from t4nmtd_dist.launch.serial import SerialRun
-from t4nmtd_dist.learners.build import build_learner
-from t4nmtd_dist.learners.peers import NoPeers
+from t4nmtd_dist.method.compiled import CompiledTask
+from t4nmtd_dist.method.start_states import InitialStateBuffer
 from t4nmtd_dist.runs.checkpoints import newest_checkpoint, write_checkpoint
 from t4nmtd_dist.runs.counts import read_counts, write_counts
 from t4nmtd_dist.runs.resuming import new_identity, write_identity
-from t4nmtd_dist.runs.state_tree import copied, joined, split
 from t4nmtd_dist.wire.codec import Envelope
 from t4nmtd_dist.wire.messages import (
     EvaluationJob,
@@ -40,7 +40,7 @@ from t4nmtd_dist.wire.messages import (
     Release,
     SyncReply,
 )
-from workers.keeping import SessionKeeper
+from workers.checkpointing import SessionKeeper
 from workers.learner_session import LearnerSession
 
 EVALUATED = ("evaluation.every=60", "evaluation.episodes=2", "environment.horizon=20", "learner.attempt_steps=12")

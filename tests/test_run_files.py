@@ -15,12 +15,12 @@ from hypothesis import strategies as st
 from test_resume import talked
 from test_resume_plan import stopped_run
 
-from coordinator.keeping import go_on
+from coordinator.checkpointing import go_on
 from coordinator.saved_state import saved_counts, saved_state
 from coordinator.snapshot import summary
 from t4nmtd_dist.cli.options import RunOptions
 from t4nmtd_dist.cli.plan import plan_run
-from t4nmtd_dist.errors import RunError
+from t4nmtd_dist.core.errors import RunError
 from t4nmtd_dist.runs.checkpoints import newest_checkpoint, write_checkpoint
 from t4nmtd_dist.runs.counts import read_counts, write_counts
 from t4nmtd_dist.runs.directory import RunDirectory

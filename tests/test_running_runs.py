@@ -12,7 +12,7 @@ from pathlib import Path
 import pytest
 
 from t4nmtd_dist.cli.whereabouts import control_endpoint, state_endpoint
-from t4nmtd_dist.errors import ConfigError, RunError
+from t4nmtd_dist.core.errors import ConfigError, RunError
 from t4nmtd_dist.runs.directory import CONFIG_FILE, ENDPOINTS_FILE, LOCK_FILE, RunDirectory
 from t4nmtd_dist.runs.running import RunOverError, named_run, running_runs
 from t4nmtd_dist.wire.endpoints import DEFAULT_CONTROL, DEFAULT_STATE

@@ -25,11 +25,11 @@ from small_sac import (
     twin,
 )
 
-from t4nmtd_dist.learners.attempts import Attempts
-from t4nmtd_dist.learners.experience import Returns
-from t4nmtd_dist.learners.peers import NoPeers, PeerCritics
-from t4nmtd_dist.learners.sac import BATCHES_AHEAD, SACLearner
-from t4nmtd_dist.learners.sac_update import PeerSoftValues, SACBatch
+from t4nmtd_dist.agents.common.peer_values import NoPeers, PeerCritics
+from t4nmtd_dist.agents.common.replay_buffer import Returns
+from t4nmtd_dist.agents.common.rollout import Attempts
+from t4nmtd_dist.agents.sac.agent import BATCHES_AHEAD, SACLearner
+from t4nmtd_dist.agents.sac.fast_cpu.update import PeerSoftValues, SACBatch
 
 # Acting and counting
 

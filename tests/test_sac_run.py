@@ -17,20 +17,20 @@ from small_sac import AT_G1, PIDS, START, TO_G2, TO_G3, TO_G4, averaged, product
 
 from coordinator.snapshot import summary
 from coordinator.state import RunSettings
+from t4nmtd_dist.agents.actors import GaussianActor, scaled
+from t4nmtd_dist.agents.common.networks import part_of, product_state
+from t4nmtd_dist.agents.common.peer_values import NoPeers
+from t4nmtd_dist.agents.registry import build_learner
+from t4nmtd_dist.agents.sac.agent import SACLearner
 from t4nmtd_dist.cli.check import check
-from t4nmtd_dist.compiled import CompiledTask, compile_task
+from t4nmtd_dist.core.errors import ConfigError, PolicyError, ProtocolError, WorldError
 from t4nmtd_dist.environments.action_spaces import action_bounds
 from t4nmtd_dist.environments.preparation import check_fit
-from t4nmtd_dist.errors import ConfigError, PolicyError, ProtocolError, WorldError
-from t4nmtd_dist.initial_state_buffer import InitialStateBuffer
 from t4nmtd_dist.launch.serial import SerialRun
-from t4nmtd_dist.learners.actors import GaussianActor, scaled
-from t4nmtd_dist.learners.build import build_learner
-from t4nmtd_dist.learners.networks import part_of, product_state
-from t4nmtd_dist.learners.peers import NoPeers
-from t4nmtd_dist.learners.sac import SACLearner
-from t4nmtd_dist.policy import GlobalPolicy, load
-from t4nmtd_dist.runs.exported import export_policy
+from t4nmtd_dist.method.compiled import CompiledTask, compile_task
+from t4nmtd_dist.method.start_states import InitialStateBuffer
+from t4nmtd_dist.policy.export import export_policy
+from t4nmtd_dist.policy.global_policy import GlobalPolicy, load
 from t4nmtd_dist.tasks import load_task
 
 SERIAL = (

@@ -11,11 +11,11 @@ from devices import EVERYWHERE, GPU
 from small_sac import AT_G1, small_sac
 from test_sac_update import random_batch
 
-from t4nmtd_dist.learners import sac
-from t4nmtd_dist.learners.peers import NoPeers
-from t4nmtd_dist.learners.sac_interface import PeerSoftValues, SACSettings, SoftActorCritic
-from t4nmtd_dist.learners.sac_torch import TorchSACUpdater, updater_on
-from t4nmtd_dist.learners.sac_update import SACUpdater
+from t4nmtd_dist.agents.common.peer_values import NoPeers
+from t4nmtd_dist.agents.sac import agent as sac
+from t4nmtd_dist.agents.sac.fast_cpu.update import SACUpdater
+from t4nmtd_dist.agents.sac.interface import PeerSoftValues, SACSettings, SoftActorCritic
+from t4nmtd_dist.agents.sac.torch_update import TorchSACUpdater, updater_on
 
 STATES, ACTIONS, ROWS = 7, 2, 16
 SMALL = SACSettings(hidden=(32, 24))

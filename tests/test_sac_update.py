@@ -15,12 +15,13 @@ from hypothesis import strategies as st
 from torch import Tensor
 from torch.nn import functional
 
-from t4nmtd_dist.errors import PolicyError
-from t4nmtd_dist.learners import products
-from t4nmtd_dist.learners.flat_adam import FlatAdam
-from t4nmtd_dist.learners.sac_backward import chosen_input_gradient, weight_gradients
-from t4nmtd_dist.learners.sac_interface import PeerSoftValues, SACBatch, SACSettings
-from t4nmtd_dist.learners.sac_networks import (
+from t4nmtd_dist.agents.common.flat_adam import FlatAdam
+from t4nmtd_dist.agents.common.squashed_gaussian import output_gradient, squashed_sample
+from t4nmtd_dist.agents.sac.fast_cpu import matmul as products
+from t4nmtd_dist.agents.sac.fast_cpu.backward import chosen_input_gradient, weight_gradients
+from t4nmtd_dist.agents.sac.fast_cpu.update import SACUpdater
+from t4nmtd_dist.agents.sac.interface import PeerSoftValues, SACBatch, SACSettings
+from t4nmtd_dist.agents.sac.networks import (
     LAYER_NORM_EPSILON,
     Activations,
     Layers,
@@ -30,8 +31,7 @@ from t4nmtd_dist.learners.sac_networks import (
     flat_length,
     layers_of,
 )
-from t4nmtd_dist.learners.sac_update import SACUpdater
-from t4nmtd_dist.learners.squashed_gaussian import output_gradient, squashed_sample
+from t4nmtd_dist.core.errors import PolicyError
 
 torch.set_num_threads(1)  # a second thread waits for the other tests' processes
 

@@ -12,11 +12,11 @@ from processes import Processes, Started, endpoints, events
 from safetensors.numpy import load_file
 
 from t4nmtd_dist.tasks import load_task
-from t4nmtd_dist.wire.inquiry import ask_status
-from t4nmtd_dist.wire.key_folders import add_client, make_coordinator_folder, revoke
-from t4nmtd_dist.wire.keys import load_client, load_coordinator, new_pair, write_public, write_secret
+from t4nmtd_dist.wire.auth.key_folders import add_client, make_coordinator_folder, revoke
+from t4nmtd_dist.wire.auth.keys import load_client, load_coordinator, new_pair, write_public, write_secret
 from t4nmtd_dist.wire.messages import Status
 from t4nmtd_dist.wire.sockets import new_context
+from t4nmtd_dist.wire.status_client import ask_status
 
 END_S = 10.0
 REFUSED_S = 30.0

@@ -15,7 +15,7 @@ from t4nmtd_dist.automata.dfa import DFA
 from t4nmtd_dist.automata.formula import Formula, Operator, parse, satisfies, truth
 from t4nmtd_dist.automata.mona import find_mona
 from t4nmtd_dist.automata.translate import Translator, translate
-from t4nmtd_dist.errors import FormulaError
+from t4nmtd_dist.core.errors import FormulaError
 
 NAMES = ("a", "b", "c")
 ALL_TRACES = {length: np.array(list(itertools.product(range(8), repeat=length))) for length in (1, 2, 3, 4)}

@@ -14,21 +14,21 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 from small_sac import AT_G1, PIDS, TO_G2, small_sac, small_sac_task
 
-from t4nmtd_dist.errors import ProtocolError
-from t4nmtd_dist.learners.chance_finds import ChanceFinds, target_letters
-from t4nmtd_dist.learners.experience import BEFORE_SUCCESS, SHARED, Experience
-from t4nmtd_dist.learners.peers import NoPeers
-from t4nmtd_dist.learners.sac import SACLearner
-from t4nmtd_dist.product import subtask_tables
+from t4nmtd_dist.agents.common.peer_success_replay import ChanceFinds, target_letters
+from t4nmtd_dist.agents.common.peer_values import NoPeers
+from t4nmtd_dist.agents.common.replay_buffer import BEFORE_SUCCESS, SHARED, Experience
+from t4nmtd_dist.agents.sac.agent import SACLearner
+from t4nmtd_dist.core.errors import ProtocolError
+from t4nmtd_dist.method.rewards import subtask_tables
 from t4nmtd_dist.wire.codec import Envelope
-from t4nmtd_dist.wire.experience_client import (
+from t4nmtd_dist.wire.messages import ExperienceReply, ExperienceRequest, Failure, Peer
+from t4nmtd_dist.wire.peers.experience_client import (
     AFTER_MISFIT_S,
     ANSWER_WITHIN_S,
     ASK_EVERY_S,
     PeerExperience,
     checked_columns,
 )
-from t4nmtd_dist.wire.messages import ExperienceReply, ExperienceRequest, Failure, Peer
 from t4nmtd_dist.wire.sockets import Context, Socket, bind, bound_endpoint, receive_from, send
 from workers.critic_service import EXPERIENCE_BYTES, CriticService
 

@@ -16,10 +16,10 @@ from hypothesis import example, given, settings
 from hypothesis import strategies as st
 from small_tasks import small_task
 
-from coordinator.doors import Access
+from coordinator.endpoints import Access
 from coordinator.service import CoordinatorService
 from coordinator.state import CoordinatorState, RunSettings
-from t4nmtd_dist.errors import ConfigError, ProtocolError, RunError
+from t4nmtd_dist.core.errors import ConfigError, ProtocolError, RunError
 from t4nmtd_dist.wire.codec import Envelope, decode
 from t4nmtd_dist.wire.endpoints import check_endpoint
 from t4nmtd_dist.wire.messages import (

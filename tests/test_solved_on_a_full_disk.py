@@ -15,15 +15,15 @@ from small_tasks import small_task
 from test_full_disk import files_end_after
 from test_resume import report
 
+from coordinator.checkpointing import StateKeeper
 from coordinator.events import Finish
 from coordinator.finishing import write_result
-from coordinator.keeping import StateKeeper
-from coordinator.recorder import Recorder
+from coordinator.run_logger import Recorder
 from coordinator.saved_state import saved_state
 from coordinator.state import RunSettings
 from t4nmtd_dist.cli.options import RunOptions
 from t4nmtd_dist.cli.train import train_serial
-from t4nmtd_dist.errors import RunError
+from t4nmtd_dist.core.errors import RunError
 from t4nmtd_dist.launch.serial import SerialRun
 from t4nmtd_dist.runs.checkpoints import write_checkpoint
 from t4nmtd_dist.runs.directory import RunDirectory

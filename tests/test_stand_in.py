@@ -13,12 +13,12 @@ from small_tasks import small_task
 
 from coordinator.events import Received, RecordEvaluation, Send, Tell
 from coordinator.stand_ins import STAND_IN_AFTER_S
-from t4nmtd_dist.errors import PolicyError
-from t4nmtd_dist.evaluation import Evaluator
-from t4nmtd_dist.initial_state_buffer import InitialStateBuffer
-from t4nmtd_dist.learners.actors import acting_parameters
-from t4nmtd_dist.learners.build import build_learner
-from t4nmtd_dist.policy import GlobalPolicy
+from t4nmtd_dist.agents.actors import acting_parameters
+from t4nmtd_dist.agents.registry import build_learner
+from t4nmtd_dist.core.errors import PolicyError
+from t4nmtd_dist.method.start_states import InitialStateBuffer
+from t4nmtd_dist.policy.evaluation import Evaluator
+from t4nmtd_dist.policy.global_policy import GlobalPolicy
 from t4nmtd_dist.wire.codec import Envelope
 from t4nmtd_dist.wire.messages import (
     Claim,

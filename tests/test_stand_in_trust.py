@@ -11,7 +11,7 @@ from coordinator_events import Conversation
 from strangers import Stranger
 from test_stand_in import Alone, Slices
 
-from t4nmtd_dist.errors import TrustError
+from t4nmtd_dist.core.errors import TrustError
 from t4nmtd_dist.wire.codec import Envelope
 from t4nmtd_dist.wire.messages import Claim, EvaluationPoll, Failure, Granted, Message, Release
 from workers.stand_in import STAND_IN, StandIn

@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 from processes import Processes, endpoints, events
 
-from t4nmtd_dist.errors import ConfigError
+from t4nmtd_dist.core.errors import ConfigError
 from t4nmtd_dist.wire.endpoints import complete_endpoint
 
 

@@ -15,13 +15,13 @@ from hypothesis import strategies as st
 from small_tasks import INTO_HOLE, PICK, TO_PASSENGER_2, small_learner, small_task
 
 from coordinator.events import Tell
-from coordinator.records import LearnerRecord
+from coordinator.learner_registry import LearnerRecord
 from coordinator.snapshot import dashboard_state, status
 from coordinator.state import RunSettings
 from coordinator.stuck import stuck_lines
 from t4nmtd_dist.cli.status import page
-from t4nmtd_dist.initial_state_buffer import InitialStateBuffer
 from t4nmtd_dist.launch.serial import SerialRun
+from t4nmtd_dist.method.start_states import InitialStateBuffer
 from t4nmtd_dist.wire.messages import LearnerStats
 from workers.learner_session import counted_since
 

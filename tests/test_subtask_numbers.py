@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from coordinator.numbering import numbered
 from coordinator.snapshot import dashboard_state, missing, status
 from coordinator.worker_commands import WorkerCommands
-from t4nmtd_dist.compiled import compile_task
+from t4nmtd_dist.method.compiled import compile_task
 from t4nmtd_dist.tasks import load_task
 from t4nmtd_dist.wire.addresses import split_endpoint
 from t4nmtd_dist.wire.messages import Claim, Granted, Missing

@@ -18,14 +18,14 @@ from hypothesis import strategies as st
 from processes import Processes, Started, endpoints, events
 from strangers import Stranger
 
-from t4nmtd_dist.config import EnvironmentConfig
+from t4nmtd_dist.core.config import EnvironmentConfig
+from t4nmtd_dist.core.errors import TrustError
 from t4nmtd_dist.environments import trusted_code
 from t4nmtd_dist.environments.named_code import code_named
 from t4nmtd_dist.environments.trust import require_trust
 from t4nmtd_dist.environments.trusted_code import is_remembered, remember
-from t4nmtd_dist.errors import TrustError
 from t4nmtd_dist.tasks import load_task, task_names
-from t4nmtd_dist.wire.key_folders import make_coordinator_folder
+from t4nmtd_dist.wire.auth.key_folders import make_coordinator_folder
 
 TESTS = str(Path(__file__).parent)
 END_S = 60.0

@@ -14,10 +14,10 @@ from small_tasks import START, TO_PASSENGER_2, small_learner, small_task, snapsh
 
 from coordinator.events import Tell
 from coordinator.state import CoordinatorState, RunSettings
-from t4nmtd_dist.errors import WorldError
-from t4nmtd_dist.learners.attempts import MOST_FAILURES
-from t4nmtd_dist.learners.ppo import PPOLearner
-from t4nmtd_dist.learners.weight_checks import NetworkSizes, check_weights, expected_shapes
+from t4nmtd_dist.agents.common.rollout import MOST_FAILURES
+from t4nmtd_dist.agents.ppo.agent import PPOLearner
+from t4nmtd_dist.agents.weight_checks import NetworkSizes, check_weights, expected_shapes
+from t4nmtd_dist.core.errors import WorldError
 from t4nmtd_dist.wire.messages import EvaluationJob, EvaluationPoll, Granted, LearnerStats, SyncReply
 from workers.learner_session import LearnerSession
 

@@ -15,12 +15,12 @@ import pytest
 from processes import Processes
 from small_tasks import own_task
 
-from t4nmtd_dist.config import EnvironmentConfig
-from t4nmtd_dist.environments.copies import EnvironmentCopy
+from t4nmtd_dist.core.config import EnvironmentConfig
+from t4nmtd_dist.core.errors import WorldError
+from t4nmtd_dist.environments.batched import make_world
 from t4nmtd_dist.environments.opening import import_module
 from t4nmtd_dist.environments.restoring import choose_snapshots
-from t4nmtd_dist.errors import WorldError
-from t4nmtd_dist.worlds import make_world
+from t4nmtd_dist.environments.single_env import EnvironmentCopy
 
 NAMES = ("left", "right", "again")
 END_S = 100.0

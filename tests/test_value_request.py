@@ -10,9 +10,9 @@ from numpy.typing import NDArray
 from small_sac import small_sac
 from small_tasks import small_learner
 
-from t4nmtd_dist.errors import ProtocolError
-from t4nmtd_dist.learners.protocol import PublishedValues
-from t4nmtd_dist.learners.value_request import read_value_request
+from t4nmtd_dist.agents.common.value_request import read_value_request
+from t4nmtd_dist.agents.protocol import PublishedValues
+from t4nmtd_dist.core.errors import ProtocolError
 
 SIZES = {"ppo": 83, "sac": 23}  # of an observation
 STATES = 6

@@ -17,13 +17,13 @@ import numpy as np
 import zmq
 from numpy.typing import NDArray
 
-from t4nmtd_dist.errors import ProtocolError
+from t4nmtd_dist.core.errors import ProtocolError
 from t4nmtd_dist.wire.addresses import LOOPBACK, split_endpoint
-from t4nmtd_dist.wire.allow_list import AllowedKeys
+from t4nmtd_dist.wire.auth.allow_list import AllowedKeys
+from t4nmtd_dist.wire.auth.keys import KeyPair
+from t4nmtd_dist.wire.auth.zap import Authenticator, Refusal
 from t4nmtd_dist.wire.codec import Envelope, with_prefix
 from t4nmtd_dist.wire.connection_guard import ConnectionGuard
-from t4nmtd_dist.wire.gate import Arrival, Gate
-from t4nmtd_dist.wire.keys import KeyPair
 from t4nmtd_dist.wire.limits import CRITIC_LIMITS
 from t4nmtd_dist.wire.messages import (
     ExperienceReply,
@@ -35,13 +35,13 @@ from t4nmtd_dist.wire.messages import (
     WeightsReply,
     WeightsRequest,
 )
-from t4nmtd_dist.wire.notices import Notices, Tell
+from t4nmtd_dist.wire.rate_limited_log import Notices, Tell
+from t4nmtd_dist.wire.secure_receiver import Arrival, Gate
 from t4nmtd_dist.wire.sockets import Context, bind, bound_endpoint, send
-from t4nmtd_dist.wire.zap import Authenticator, Refusal
 
 if TYPE_CHECKING:
-    from t4nmtd_dist.learners.experience import Experience
-    from t4nmtd_dist.learners.protocol import PublishedValues
+    from t4nmtd_dist.agents.common.replay_buffer import Experience
+    from t4nmtd_dist.agents.protocol import PublishedValues
 
 POLL_MS = 200
 MESSAGES_PER_TURN = 200

@@ -7,11 +7,11 @@ from typing import Any
 
 from numpy.typing import NDArray
 
-from t4nmtd_dist.evaluation import Evaluator, finished
-from t4nmtd_dist.evaluation_modes import play
-from t4nmtd_dist.high_level import QEntries
-from t4nmtd_dist.policy import GlobalPolicy
-from t4nmtd_dist.runs.state_tree import State
+from t4nmtd_dist.core.state_dict import State
+from t4nmtd_dist.method.high_level import QEntries
+from t4nmtd_dist.policy.evaluation import Evaluator, finished
+from t4nmtd_dist.policy.evaluation_modes import play
+from t4nmtd_dist.policy.global_policy import GlobalPolicy
 from t4nmtd_dist.wire.codec import Envelope
 from t4nmtd_dist.wire.messages import LONGEST_PATH, EvaluationJob, EvaluationReport, Granted
 from workers.learner_session import compiled_from, training_of

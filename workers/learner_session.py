@@ -13,18 +13,18 @@ import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
+from t4nmtd_dist.agents.common.peer_values import InterventionCounts, PeerCritics
+from t4nmtd_dist.agents.common.rollout import Progress
+from t4nmtd_dist.agents.registry import build_learner, subtask_seed
+from t4nmtd_dist.agents.weight_checks import check_alike
 from t4nmtd_dist.automata.dfa import DFA
-from t4nmtd_dist.compiled import CompiledTask
-from t4nmtd_dist.config import task_config
-from t4nmtd_dist.decomposition import Decomposition
-from t4nmtd_dist.devices import Device
-from t4nmtd_dist.errors import PolicyError, ProtocolError
-from t4nmtd_dist.initial_state_buffer import InitialStateBuffer
-from t4nmtd_dist.learners.attempts import Progress
-from t4nmtd_dist.learners.build import build_learner, subtask_seed
-from t4nmtd_dist.learners.peers import InterventionCounts, PeerCritics
-from t4nmtd_dist.learners.weight_checks import check_alike
-from t4nmtd_dist.runs.state_tree import State
+from t4nmtd_dist.core.config import task_config
+from t4nmtd_dist.core.devices import Device
+from t4nmtd_dist.core.errors import PolicyError, ProtocolError
+from t4nmtd_dist.core.state_dict import State
+from t4nmtd_dist.method.compiled import CompiledTask
+from t4nmtd_dist.method.decomposition import Decomposition
+from t4nmtd_dist.method.start_states import InitialStateBuffer
 from t4nmtd_dist.wire.codec import Envelope, without_prefix
 from t4nmtd_dist.wire.limits import most_starts
 from t4nmtd_dist.wire.messages import Granted, Intervention, LearnerStats, Peer, Sync, SyncReply

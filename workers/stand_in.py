@@ -7,7 +7,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
-from t4nmtd_dist.errors import T4NMTDError
+from t4nmtd_dist.core.errors import T4NMTDError
 from t4nmtd_dist.wire.codec import Envelope
 from t4nmtd_dist.wire.messages import Claim, EvaluationJob, Failure, Granted, Message, Refused
 from workers.evaluation_work import PATIENCE_S, EvaluationWork
@@ -39,7 +39,7 @@ class SpareTime:
 
 def open_session(granted: Granted) -> EvaluationSession:
     """An evaluation session whose starts differ from those of other stand-ins."""
-    from t4nmtd_dist.learners.build import subtask_seed
+    from t4nmtd_dist.agents.registry import subtask_seed
     from workers.evaluation_session import EvaluationSession
 
     return EvaluationSession(granted, seed=subtask_seed(granted.seed, granted.pid, granted.epoch))

@@ -17,13 +17,13 @@ from typing import TYPE_CHECKING, Any
 
 from numpy.typing import NDArray
 
-from t4nmtd_dist.devices import Device
-from t4nmtd_dist.errors import ProtocolError
-from t4nmtd_dist.launch.ends import hear_ends
+from t4nmtd_dist.core.devices import Device
+from t4nmtd_dist.core.errors import ProtocolError
+from t4nmtd_dist.process.signals import hear_ends
 from t4nmtd_dist.wire.addresses import critic_endpoints
+from t4nmtd_dist.wire.auth.handshake import HandshakeMonitor, trouble
+from t4nmtd_dist.wire.auth.keys import load_client
 from t4nmtd_dist.wire.codec import Envelope
-from t4nmtd_dist.wire.handshake import HandshakeMonitor, trouble
-from t4nmtd_dist.wire.keys import load_client
 from t4nmtd_dist.wire.messages import (
     EvaluationJob,
     Failure,
@@ -38,13 +38,13 @@ from t4nmtd_dist.wire.messages import (
 from t4nmtd_dist.wire.sockets import connect, new_context, receive, send
 from workers.critic_service import CriticService
 from workers.evaluation_work import EvaluationWork
-from workers.loading import Loader, WaitingLease, check_trust
-from workers.neighbours import Neighbours
+from workers.lazy_import import Loader, WaitingLease, check_trust
+from workers.peer_registry import Neighbours
 from workers.stand_in import STAND_IN, StandIn
 from workers.state import Action, Ask, Begin, End, Exit, GiveBack, Say, WorkerState
 
 if TYPE_CHECKING:
-    from workers.keeping import SessionKeeper
+    from workers.checkpointing import SessionKeeper
     from workers.learner_session import LearnerSession
 
 SYNC_INTERVAL_S = 0.2
@@ -122,7 +122,7 @@ class Worker:
         self._interrupted = False
 
     def _keep(self, checkpoints: Path) -> SessionKeeper:
-        from workers.keeping import SessionKeeper
+        from workers.checkpointing import SessionKeeper
 
         return SessionKeeper(checkpoints, self._options.checkpoint_every_s, say)
 

@@ -14,8 +14,8 @@ import numpy as np
 from t4nmtd_dist.automata.dfa import DFA, MAX_PROPOSITIONS
 from t4nmtd_dist.automata.minimise import RawAutomaton, check_size, numbered_dfa
 from t4nmtd_dist.automata.reduction import ExclusiveGroups, reduce_automaton
-from t4nmtd_dist.config import AcceptanceSetting
-from t4nmtd_dist.errors import FormulaError
+from t4nmtd_dist.core.config import AcceptanceSetting
+from t4nmtd_dist.core.errors import FormulaError
 
 Acceptance = Literal["first", "end"]
 

@@ -10,7 +10,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from t4nmtd_dist.errors import ConfigError
+from t4nmtd_dist.core.errors import ConfigError
 
 Cube = tuple[str, ...]
 Guard = tuple[Cube, ...]

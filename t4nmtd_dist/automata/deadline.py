@@ -6,7 +6,7 @@ import math
 import time
 from dataclasses import dataclass
 
-from t4nmtd_dist.errors import ConfigError, TranslationError
+from t4nmtd_dist.core.errors import ConfigError, TranslationError
 
 
 @dataclass(frozen=True)

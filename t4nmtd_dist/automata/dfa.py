@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from t4nmtd_dist.automata.cubes import Guard, irredundant_cover
 from t4nmtd_dist.automata.deadline import Deadline
-from t4nmtd_dist.errors import ConfigError
+from t4nmtd_dist.core.errors import ConfigError
 
 MAX_PROPOSITIONS = 16
 

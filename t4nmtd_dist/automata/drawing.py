@@ -11,7 +11,7 @@ from t4nmtd_dist.automata.cubes import Cube, Guard, guard_text
 from t4nmtd_dist.automata.dfa import DFA
 from t4nmtd_dist.automata.layout import RADIUS, Box, Curve, Points, free_directions, label_boxes, place, route
 from t4nmtd_dist.automata.reduction import Transition
-from t4nmtd_dist.decomposition import Decomposition
+from t4nmtd_dist.method.decomposition import Decomposition
 
 BACKGROUND, INK, FAINT, CASING = "#faf9f5", "#22252a", "#8d9299", "#4a4e55"
 PALETTE = (

@@ -19,7 +19,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from t4nmtd_dist.errors import FormulaError
+from t4nmtd_dist.core.errors import FormulaError
 
 Bools = NDArray[np.bool_]
 

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from t4nmtd_dist.automata.deadline import Deadline
 from t4nmtd_dist.automata.dfa import DFA
-from t4nmtd_dist.errors import TranslationError
+from t4nmtd_dist.core.errors import TranslationError
 
 MAX_ENTRIES = 1 << 25
 """Most entries of a transition table, states times letters (128 MiB)."""

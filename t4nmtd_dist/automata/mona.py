@@ -17,7 +17,7 @@ import numpy as np
 from t4nmtd_dist.automata.deadline import Deadline
 from t4nmtd_dist.automata.formula import Formula, Operator
 from t4nmtd_dist.automata.minimise import RawAutomaton, check_size
-from t4nmtd_dist.errors import TranslationError
+from t4nmtd_dist.core.errors import TranslationError
 
 _VARIABLES = re.compile(r"^DFA for formula with free variables:(.*)$", re.MULTILINE)
 _ACCEPTING = re.compile(r"^Accepting states:(.*)$", re.MULTILINE)

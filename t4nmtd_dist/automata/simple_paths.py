@@ -15,7 +15,7 @@ from collections.abc import Collection, Iterable, Iterator
 from itertools import pairwise
 
 from t4nmtd_dist.automata.deadline import Deadline
-from t4nmtd_dist.errors import ConfigError
+from t4nmtd_dist.core.errors import ConfigError
 
 Edge = tuple[int, int]
 Walk = tuple[int, int, int]  # masks: where it starts, where it may end, what it may use

@@ -13,7 +13,7 @@ from t4nmtd_dist.automata.formula import Formula, parse, too_deep
 from t4nmtd_dist.automata.minimise import RawAutomaton, canonical_dfa
 from t4nmtd_dist.automata.mona import find_mona, translate_by_mona
 from t4nmtd_dist.automata.progression import translate_by_progression
-from t4nmtd_dist.errors import ConfigError, FormulaError
+from t4nmtd_dist.core.errors import ConfigError, FormulaError
 
 Translator = Literal["auto", "mona", "python"]
 

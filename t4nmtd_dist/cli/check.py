@@ -13,9 +13,9 @@ from rich.table import Table
 from rich.text import Text
 
 from t4nmtd_dist.automata.acceptance import ACCEPTANCE_TEXT
-from t4nmtd_dist.compiled import CompiledTask, compile_task
-from t4nmtd_dist.environments.survey import Survey, survey
-from t4nmtd_dist.errors import ConfigError
+from t4nmtd_dist.core.errors import ConfigError
+from t4nmtd_dist.environments.diagnostics import Survey, survey
+from t4nmtd_dist.method.compiled import CompiledTask, compile_task
 from t4nmtd_dist.tasks import load_task
 
 USABLE, UNUSABLE = 0, 2

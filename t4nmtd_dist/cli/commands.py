@@ -8,11 +8,11 @@ from typing import Annotated, Literal
 
 import tyro
 
-from t4nmtd_dist.action_modes import ActionMode
 from t4nmtd_dist.cli.completion import Completion
 from t4nmtd_dist.cli.key_commands import Keys
 from t4nmtd_dist.cli.options import RunOptions
-from t4nmtd_dist.devices import Device
+from t4nmtd_dist.core.action_modes import ActionMode
+from t4nmtd_dist.core.devices import Device
 from t4nmtd_dist.wire.endpoints import CONTROL_PORT, DEFAULT_CONTROL, complete_endpoint
 
 
@@ -34,7 +34,7 @@ class Train(RunOptions):
     def run(self) -> int:
         """Train."""
         from t4nmtd_dist.cli.train import train, train_serial
-        from t4nmtd_dist.errors import ConfigError
+        from t4nmtd_dist.core.errors import ConfigError
 
         if not self.serial:
             shown = not self.no_dashboard
@@ -106,7 +106,7 @@ class Inspect:
         from rich.console import Console
 
         from t4nmtd_dist.cli.inspect import formula_task, run_inspect
-        from t4nmtd_dist.errors import ConfigError
+        from t4nmtd_dist.core.errors import ConfigError
         from t4nmtd_dist.tasks import load_task
 
         if (self.task is None) == (self.formula is None):

@@ -35,11 +35,11 @@ class Completion:
 def _command(program: Program) -> Any:
     """What a program's command line is read into."""
     if program == "t4nmtd-coordinator":
-        from coordinator.__main__ import CoordinatorCommand
+        from t4nmtd_dist.cli.coordinator import CoordinatorCommand
 
         return CoordinatorCommand
     if program == "t4nmtd-worker":
-        from workers.__main__ import WorkerCommand
+        from t4nmtd_dist.cli.worker import WorkerCommand
 
         return WorkerCommand
     from t4nmtd_dist.cli.commands import Command

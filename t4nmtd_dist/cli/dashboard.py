@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from coordinator.dashboard import export_svg
-from coordinator.viewer import watch
-from t4nmtd_dist.errors import RunError
-from t4nmtd_dist.wire.keys import load_client
+from coordinator.ui.dashboard import export_svg
+from coordinator.ui.viewer import watch
+from t4nmtd_dist.core.errors import RunError
+from t4nmtd_dist.wire.auth.keys import load_client
 from t4nmtd_dist.wire.messages import DashboardState
 from t4nmtd_dist.wire.sockets import new_context, receive, subscribe
 

@@ -5,10 +5,10 @@ from __future__ import annotations
 import sys
 from contextlib import suppress
 
-from t4nmtd_dist.errors import ConfigError
-from t4nmtd_dist.wire.inquiry import give_notice
-from t4nmtd_dist.wire.keys import ClientKeys
+from t4nmtd_dist.core.errors import ConfigError
+from t4nmtd_dist.wire.auth.keys import ClientKeys
 from t4nmtd_dist.wire.sockets import new_context
+from t4nmtd_dist.wire.status_client import give_notice
 
 TIMEOUT_S = 2.0
 

@@ -11,15 +11,15 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
 
-from t4nmtd_dist import __version__
-from t4nmtd_dist.errors import ConfigError, KeyFileError, ProtocolError, RunError
+from t4nmtd_dist.core.errors import ConfigError, KeyFileError, ProtocolError, RunError
+from t4nmtd_dist.core.version import __version__
 from t4nmtd_dist.wire.addresses import split_endpoint
+from t4nmtd_dist.wire.auth.keys import ClientKeys, load_client
 from t4nmtd_dist.wire.endpoints import CONTROL_PORT
-from t4nmtd_dist.wire.greeting import Greeting, read_greeting
-from t4nmtd_dist.wire.inquiry import Inquiry
-from t4nmtd_dist.wire.keys import ClientKeys, load_client
 from t4nmtd_dist.wire.messages import PROTOCOL_VERSION, DashboardState, Status
 from t4nmtd_dist.wire.sockets import Context, new_context, receive, subscribe
+from t4nmtd_dist.wire.status_client import Inquiry
+from t4nmtd_dist.wire.zmtp_probe import Greeting, read_greeting
 
 Verdict = Literal["ok", "warning", "FAILED"]
 ROUND_TRIPS = 5

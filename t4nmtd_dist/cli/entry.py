@@ -7,7 +7,7 @@ from typing import Any
 
 import tyro
 
-from t4nmtd_dist import __version__
+from t4nmtd_dist.core.version import __version__
 
 
 def parse(command: Any, program: str, description: str | None) -> Any:

@@ -27,8 +27,8 @@ class New:
 
     def run(self) -> int:
         """Make keys."""
-        from t4nmtd_dist.wire.key_folders import make_client_folder, make_coordinator_folder
-        from t4nmtd_dist.wire.keys import load_coordinator
+        from t4nmtd_dist.wire.auth.key_folders import make_client_folder, make_coordinator_folder
+        from t4nmtd_dist.wire.auth.keys import load_coordinator
 
         if self.coordinator is not None:
             pair = make_client_folder(self.folder, self.name, self.coordinator)
@@ -56,7 +56,7 @@ class Add:
 
     def run(self) -> int:
         """Add."""
-        from t4nmtd_dist.wire.key_folders import add_client, allow
+        from t4nmtd_dist.wire.auth.key_folders import add_client, allow
 
         if self.public is not None:
             allow(self.folder, self.name, self.public)
@@ -78,7 +78,7 @@ class Revoke:
 
     def run(self) -> int:
         """Revoke."""
-        from t4nmtd_dist.wire.key_folders import revoke
+        from t4nmtd_dist.wire.auth.key_folders import revoke
 
         revoke(self.folder, self.name)
         print(f"{self.name} may not connect any more")
@@ -94,8 +94,8 @@ class List:
 
     def run(self) -> int:
         """List."""
-        from t4nmtd_dist.wire.key_folders import listed_clients
-        from t4nmtd_dist.wire.keys import read_public
+        from t4nmtd_dist.wire.auth.key_folders import listed_clients
+        from t4nmtd_dist.wire.auth.keys import read_public
 
         coordinator = read_public(self.folder / "coordinator.public")[1]
         for name, public in {"coordinator": coordinator, **listed_clients(self.folder)}.items():

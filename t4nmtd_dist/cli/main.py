@@ -8,7 +8,7 @@ from typing import get_args
 
 from t4nmtd_dist.cli.commands import Command
 from t4nmtd_dist.cli.entry import check_verb, parse
-from t4nmtd_dist.errors import T4NMTDError
+from t4nmtd_dist.core.errors import T4NMTDError
 
 
 def main() -> None:

@@ -8,7 +8,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, get_args
 
-from t4nmtd_dist.errors import ConfigError
+from t4nmtd_dist.core.errors import ConfigError
 from t4nmtd_dist.runs.curves import Axis, Floats, MeanCurve, Metric, RunCurves, mean_curve, read_run
 
 if TYPE_CHECKING:

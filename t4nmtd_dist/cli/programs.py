@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import sys
 
-from t4nmtd_dist.errors import ImportNameError
-from t4nmtd_dist.launch.import_names import check_import_names
+from t4nmtd_dist.core.errors import ImportNameError
+from t4nmtd_dist.process.import_names import check_import_names
 
 
 def t4nmtd() -> None:
@@ -19,7 +19,7 @@ def t4nmtd() -> None:
 def coordinator() -> None:
     """Entry point of ``t4nmtd-coordinator``."""
     _check("t4nmtd-coordinator")
-    from coordinator.__main__ import main
+    from t4nmtd_dist.cli.coordinator import main
 
     main()
 
@@ -27,7 +27,7 @@ def coordinator() -> None:
 def worker() -> None:
     """Entry point of ``t4nmtd-worker``."""
     _check("t4nmtd-worker")
-    from workers.__main__ import main
+    from t4nmtd_dist.cli.worker import main
 
     main()
 

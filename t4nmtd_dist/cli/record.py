@@ -12,7 +12,7 @@ from typing import Any
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
-from t4nmtd_dist.errors import ConfigError
+from t4nmtd_dist.core.errors import ConfigError
 
 FORMATS = {".mp4": ("imageio", "imageio_ffmpeg"), ".gif": ("imageio",)}
 USUAL_FPS = 10
@@ -31,8 +31,8 @@ def record(path: Path, out: Path, *, episodes: int, seed: int, fps: int | None, 
     if episodes < 1 or (fps is not None and fps < 1):
         raise ConfigError(f"expected at least one episode and --fps of at least 1; got {episodes} and {fps}")
     from t4nmtd_dist.environments.trust import require_trust
-    from t4nmtd_dist.policy import load
-    from t4nmtd_dist.recording import open_for_recording
+    from t4nmtd_dist.policy.global_policy import load
+    from t4nmtd_dist.policy.recording import open_for_recording
 
     policy = load(path)
     require_trust(policy.config.environment, f"the policy in {path}", given=trust)
@@ -76,7 +76,7 @@ def _writer(out: Path, fps: int) -> Iterator[Any]:
 
 
 def _film(policy: Any, copy: Any, film: Any, episodes: int, seed: int, last_frames: int) -> list[str]:
-    from t4nmtd_dist.recording import captioned, play
+    from t4nmtd_dist.policy.recording import captioned, play
 
     columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
     outcomes = []

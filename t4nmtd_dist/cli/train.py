@@ -10,17 +10,17 @@ from pathlib import Path
 from t4nmtd_dist.cli.death_notices import DeathNotices
 from t4nmtd_dist.cli.options import RunOptions
 from t4nmtd_dist.cli.plan import RunPlan, plan_run
-from t4nmtd_dist.compiled import CompiledTask, compile_task
-from t4nmtd_dist.devices import Device, check_device
+from t4nmtd_dist.core.devices import Device, check_device
+from t4nmtd_dist.core.errors import RunError
 from t4nmtd_dist.environments.cautions import cautions
 from t4nmtd_dist.environments.preparation import prepared
-from t4nmtd_dist.errors import RunError
-from t4nmtd_dist.launch.ends import hear_ends
 from t4nmtd_dist.launch.local import LocalProcesses, dealt
+from t4nmtd_dist.method.compiled import CompiledTask, compile_task
+from t4nmtd_dist.process.signals import hear_ends
 from t4nmtd_dist.runs.directory import RunDirectory, read_summary
 from t4nmtd_dist.runs.report import outcome_text
 from t4nmtd_dist.runs.resuming import write_identity
-from t4nmtd_dist.wire.keys import ClientKeys, load_client
+from t4nmtd_dist.wire.auth.keys import ClientKeys, load_client
 
 SOLVED, BUDGET_SPENT, STOPPED = 0, 3, 130
 LAST_STATE_S = 15.0
@@ -131,7 +131,7 @@ def _watch(
         return processes.check() and not interrupted.seen
 
     if dashboard:
-        from coordinator.viewer import watch
+        from coordinator.ui.viewer import watch
         from t4nmtd_dist.wire.sockets import new_context
 
         context = new_context()
@@ -157,7 +157,7 @@ def _is_live() -> bool:
     """Whether a dashboard takes the whole terminal."""
     from rich.console import Console
 
-    from coordinator.viewer import wants_plain
+    from coordinator.ui.viewer import wants_plain
 
     return not wants_plain(Console())
 
@@ -180,10 +180,10 @@ def train_serial(options: RunOptions, *, device: Device = "cpu") -> int:
     check_device(device)
     from coordinator.events import Finish
     from coordinator.finishing import patience, write_result
-    from coordinator.recorder import Recorder
+    from coordinator.run_logger import Recorder
     from coordinator.state import RunSettings
     from t4nmtd_dist.launch.serial import SerialRun
-    from t4nmtd_dist.launch.serial_keeping import SerialKeeper
+    from t4nmtd_dist.launch.serial_checkpointing import SerialKeeper
 
     plan = plan_run(options, serial=True)
     if plan.solved:

@@ -8,8 +8,8 @@ import numpy as np
 from gymnasium import spaces
 from numpy.typing import NDArray
 
-from t4nmtd_dist.config import TaskConfig
-from t4nmtd_dist.errors import WorldError
+from t4nmtd_dist.core.config import TaskConfig
+from t4nmtd_dist.core.errors import WorldError
 
 Bounds = tuple[NDArray[np.float32], NDArray[np.float32]]
 

@@ -9,12 +9,12 @@ import msgpack
 import numpy as np
 from numpy.typing import NDArray
 
+from t4nmtd_dist.core.errors import T4NMTDError, WorldError
+from t4nmtd_dist.core.state_dict import State
 from t4nmtd_dist.environments.attribute_state import pack, restored
 from t4nmtd_dist.environments.observations import Flattener, Vector
-from t4nmtd_dist.environments.packing import padded, throw_new_dice, unpadded
+from t4nmtd_dist.environments.serialization import padded, throw_new_dice, unpadded
 from t4nmtd_dist.environments.user_errors import call_user
-from t4nmtd_dist.errors import T4NMTDError, WorldError
-from t4nmtd_dist.runs.state_tree import State
 
 _DICE = ("_np_random", "_np_random_seed")
 _OWN, _MUJOCO = "own", "mujoco"

@@ -20,7 +20,7 @@ import gymnasium as gym
 import msgpack
 import numpy as np
 
-from t4nmtd_dist.errors import WorldError
+from t4nmtd_dist.core.errors import WorldError
 
 MOST_NODES = 200_000
 

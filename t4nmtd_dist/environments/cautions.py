@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import time
 
-from t4nmtd_dist.compiled import CompiledTask
-from t4nmtd_dist.config import TaskConfig
+from t4nmtd_dist.core.config import TaskConfig
+from t4nmtd_dist.core.errors import T4NMTDError, WorldError
 from t4nmtd_dist.environments.preparation import slowness
-from t4nmtd_dist.errors import T4NMTDError, WorldError
+from t4nmtd_dist.method.compiled import CompiledTask
 from t4nmtd_dist.tasks import is_packages_environment
 
 STEPS, MOST_S = 200, 5.0  # of random play, whichever ends first
@@ -33,8 +33,8 @@ def cautions(task: CompiledTask) -> list[str]:
 
 
 def _of_observations(config: TaskConfig) -> list[str]:
-    from t4nmtd_dist.environments.copies import EnvironmentCopy
     from t4nmtd_dist.environments.observation_range import ObservationRange
+    from t4nmtd_dist.environments.single_env import EnvironmentCopy
 
     copy = EnvironmentCopy(config.environment, config.propositions)
     seen = ObservationRange(copy.parts)

@@ -8,7 +8,7 @@ from typing import Any, Literal
 import msgspec
 from gymnasium import spaces
 
-from t4nmtd_dist.config import ALGORITHM_DEFAULTS, LearnerConfig, TaskConfig
+from t4nmtd_dist.core.config import ALGORITHM_DEFAULTS, LearnerConfig, TaskConfig
 from t4nmtd_dist.tasks import is_packages_environment
 
 Algorithm = Literal["ppo", "sac"]

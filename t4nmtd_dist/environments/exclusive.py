@@ -9,8 +9,8 @@ from dataclasses import dataclass
 from itertools import combinations
 
 from t4nmtd_dist.automata.reduction import ReducedAutomaton, reduce_automaton
-from t4nmtd_dist.compiled import CompiledTask
-from t4nmtd_dist.config import AcceptanceSetting
+from t4nmtd_dist.core.config import AcceptanceSetting
+from t4nmtd_dist.method.compiled import CompiledTask
 
 MIN_TRUE = 5
 """Steps on which a proposition must have held to be in a suggestion."""

@@ -8,10 +8,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from t4nmtd_dist.config import EnvironmentConfig
+from t4nmtd_dist.core.config import EnvironmentConfig
+from t4nmtd_dist.core.errors import WorldError
 from t4nmtd_dist.environments.opening import import_function
 from t4nmtd_dist.environments.user_errors import described
-from t4nmtd_dist.errors import WorldError
 
 REPORTED = "info['labels']"
 

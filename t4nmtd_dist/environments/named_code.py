@@ -6,7 +6,7 @@ from collections.abc import Iterator, Mapping
 from functools import cache
 from typing import Any
 
-from t4nmtd_dist.config import EnvironmentConfig
+from t4nmtd_dist.core.config import EnvironmentConfig
 from t4nmtd_dist.tasks import load_task, task_names
 
 

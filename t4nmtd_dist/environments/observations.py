@@ -16,7 +16,7 @@ import numpy as np
 from gymnasium import spaces
 from numpy.typing import NDArray
 
-from t4nmtd_dist.errors import WorldError
+from t4nmtd_dist.core.errors import WorldError
 
 Vector = NDArray[np.float32]
 

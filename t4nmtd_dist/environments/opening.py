@@ -12,11 +12,11 @@ from typing import Any
 
 import gymnasium as gym
 
-from t4nmtd_dist.config import EnvironmentConfig
+from t4nmtd_dist.core.config import EnvironmentConfig
+from t4nmtd_dist.core.errors import WorldError
 from t4nmtd_dist.environments.named_code import code_named
 from t4nmtd_dist.environments.task_modules import OUR_WORLDS, explained, import_task_module
 from t4nmtd_dist.environments.user_errors import calls, described
-from t4nmtd_dist.errors import WorldError
 
 Env = gym.Env[Any, Any]
 Spec = gym.envs.registration.EnvSpec

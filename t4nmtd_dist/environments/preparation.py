@@ -6,10 +6,10 @@ import dataclasses
 
 import numpy as np
 
-from t4nmtd_dist.compiled import CompiledTask
-from t4nmtd_dist.config import EnvironmentConfig, TaskConfig
+from t4nmtd_dist.core.config import EnvironmentConfig, TaskConfig
+from t4nmtd_dist.core.errors import T4NMTDError, WorldError
 from t4nmtd_dist.environments.user_errors import described
-from t4nmtd_dist.errors import T4NMTDError, WorldError
+from t4nmtd_dist.method.compiled import CompiledTask
 from t4nmtd_dist.tasks import is_bundled, load_task
 
 SLOW = (
@@ -54,7 +54,7 @@ def _asks_for_more(config: TaskConfig) -> bool:
 
 def _check_world(task: CompiledTask) -> CompiledTask:
     from t4nmtd_dist.environments.decisions import decided
-    from t4nmtd_dist.timed_world import make_task_world
+    from t4nmtd_dist.environments.timed import make_task_world
 
     world = make_task_world(task.config, 1)
     task = dataclasses.replace(task, config=decided(task.config, world.action_space))
@@ -70,7 +70,7 @@ def slowness(config: EnvironmentConfig) -> str | None:
 def _checked(task: CompiledTask) -> CompiledTask:
     from t4nmtd_dist.environments.decisions import decided
     from t4nmtd_dist.environments.restoring import choose_snapshots, chosen
-    from t4nmtd_dist.timed_world import make_task_world
+    from t4nmtd_dist.environments.timed import make_task_world
 
     config = task.config
     environment = chosen(config.environment, choose_snapshots(config.environment, config.propositions))
@@ -91,7 +91,7 @@ def check_fit(task: CompiledTask, propositions: tuple[str, ...], action_space: o
         WorldError: if not.
     """
     from t4nmtd_dist.environments.action_spaces import check_action_space
-    from t4nmtd_dist.product import LetterReader
+    from t4nmtd_dist.method.rewards import LetterReader
 
     LetterReader(task.dfa, propositions)
     check_action_space(task.config, action_space)

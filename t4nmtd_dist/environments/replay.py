@@ -7,10 +7,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from t4nmtd_dist.core.errors import WorldError
+from t4nmtd_dist.core.state_dict import State
 from t4nmtd_dist.environments.observations import Flattener, Vector
-from t4nmtd_dist.environments.packing import padded, throw_new_dice, unpadded
-from t4nmtd_dist.errors import WorldError
-from t4nmtd_dist.runs.state_tree import State
+from t4nmtd_dist.environments.serialization import padded, throw_new_dice, unpadded
 
 
 class Replay:

@@ -10,12 +10,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from t4nmtd_dist.config import EnvironmentConfig
-from t4nmtd_dist.environments.copies import CopyStep, EnvironmentCopy
+from t4nmtd_dist.core.config import EnvironmentConfig
+from t4nmtd_dist.core.errors import WorldError
 from t4nmtd_dist.environments.opening import Env, open_environment
 from t4nmtd_dist.environments.restoring_words import difference, refusal
+from t4nmtd_dist.environments.single_env import CopyStep, EnvironmentCopy
 from t4nmtd_dist.environments.snapshots import ADAPTERS, Adapter, has_own_state, is_mujoco, keeps_contract
-from t4nmtd_dist.errors import WorldError
 
 TRIALS = 5
 WALKS = (0, 1, 4, 12, 30)  # steps before the snapshot

@@ -13,13 +13,13 @@ from typing import Any, Literal, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from t4nmtd_dist.core.errors import WorldError
+from t4nmtd_dist.core.state_dict import State
 from t4nmtd_dist.environments.attribute_snapshots import AttributeState, own_layer
 from t4nmtd_dist.environments.observations import Flattener, Vector
 from t4nmtd_dist.environments.opening import Env
 from t4nmtd_dist.environments.replay import Replay
 from t4nmtd_dist.environments.user_errors import calls
-from t4nmtd_dist.errors import WorldError
-from t4nmtd_dist.runs.state_tree import State
 
 Adapter = Literal["own", "mujoco", "attributes", "replay"]
 ADAPTERS: tuple[Adapter, ...] = ("own", "mujoco", "attributes", "replay")

@@ -10,10 +10,10 @@ import os
 import sys
 from collections.abc import Sequence
 
-from t4nmtd_dist.config import EnvironmentConfig
+from t4nmtd_dist.core.config import EnvironmentConfig
+from t4nmtd_dist.core.errors import TrustError
 from t4nmtd_dist.environments.named_code import code_named
 from t4nmtd_dist.environments.trusted_code import is_remembered, remember
-from t4nmtd_dist.errors import TrustError
 
 
 def remember_own(config: EnvironmentConfig) -> None:

@@ -18,7 +18,7 @@ from typing import Any
 
 import msgspec
 
-from t4nmtd_dist.config import EnvironmentConfig
+from t4nmtd_dist.core.config import EnvironmentConfig
 
 MOST_ENTRIES = 1000
 OTHERS_MAY_WRITE = 0o022

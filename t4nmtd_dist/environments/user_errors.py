@@ -9,7 +9,7 @@ from importlib.util import find_spec
 from pathlib import Path
 from typing import Any, TypeVar
 
-from t4nmtd_dist.errors import T4NMTDError, WorldError
+from t4nmtd_dist.core.errors import T4NMTDError, WorldError
 
 MOST_FRAMES = 4
 OWN = ("t4nmtd_dist", "coordinator", "workers", "gymnasium")

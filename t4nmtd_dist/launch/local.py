@@ -13,7 +13,7 @@ from dataclasses import dataclass, field
 from itertools import count
 from pathlib import Path
 
-from t4nmtd_dist.errors import BROKEN_ENVIRONMENT, ConfigError, RunError
+from t4nmtd_dist.core.errors import BROKEN_ENVIRONMENT, ConfigError, RunError
 from t4nmtd_dist.runs.directory import ENDPOINTS_FILE
 from t4nmtd_dist.runs.file_names import file_name
 from t4nmtd_dist.runs.links import open_to_append

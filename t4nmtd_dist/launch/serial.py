@@ -13,11 +13,11 @@ import torch
 from coordinator.events import Action, Event, Finish, Interrupted, Received, RecordEvaluation, Send, Tell
 from coordinator.saved_state import load_saved_state, saved_state
 from coordinator.state import CoordinatorState, RunSettings
-from t4nmtd_dist.compiled import CompiledTask
-from t4nmtd_dist.devices import Device
-from t4nmtd_dist.errors import LeaseError
-from t4nmtd_dist.learners.peers import InterventionCounts, LocalPeers, NoPeers, PeerCritics
-from t4nmtd_dist.runs.state_tree import State
+from t4nmtd_dist.agents.common.peer_values import InterventionCounts, LocalPeers, NoPeers, PeerCritics
+from t4nmtd_dist.core.devices import Device
+from t4nmtd_dist.core.errors import LeaseError
+from t4nmtd_dist.core.state_dict import State
+from t4nmtd_dist.method.compiled import CompiledTask
 from t4nmtd_dist.wire.codec import Envelope
 from t4nmtd_dist.wire.messages import Claim, EvaluationJob, EvaluationPoll, Granted, Message, Refused
 from workers.evaluation_session import EvaluationSession

@@ -20,9 +20,9 @@ from typing import Any
 from safetensors import SafetensorError
 from safetensors.numpy import load
 
-from t4nmtd_dist.errors import RunError
+from t4nmtd_dist.core.errors import RunError
+from t4nmtd_dist.core.state_dict import State, joined, plain_text, split
 from t4nmtd_dist.runs.array_file import array_file_parts
-from t4nmtd_dist.runs.state_tree import State, joined, plain_text, split
 
 FORMAT = 1
 KEPT = 3

@@ -14,8 +14,8 @@ from typing import Any
 
 import msgspec
 
+from t4nmtd_dist.core.state_dict import State
 from t4nmtd_dist.runs.links import open_fresh
-from t4nmtd_dist.runs.state_tree import State
 from t4nmtd_dist.wire.messages import LearnerStats
 
 COUNTS_FILE = "counts.json"

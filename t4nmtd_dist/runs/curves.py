@@ -19,7 +19,7 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from t4nmtd_dist.errors import RunError
+from t4nmtd_dist.core.errors import RunError
 from t4nmtd_dist.runs.directory import CONFIG_FILE, SUMMARY_FILE
 
 Floats = NDArray[np.float64]

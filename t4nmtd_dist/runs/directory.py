@@ -18,8 +18,8 @@ from typing import IO, Any
 
 import tomli_w
 
-from t4nmtd_dist.config import TaskConfig
-from t4nmtd_dist.errors import RunError
+from t4nmtd_dist.core.config import TaskConfig
+from t4nmtd_dist.core.errors import RunError
 from t4nmtd_dist.runs.file_names import file_name
 from t4nmtd_dist.runs.links import open_fresh, open_to_append, refuse_links
 from t4nmtd_dist.runs.reserve import RESERVE_FILE

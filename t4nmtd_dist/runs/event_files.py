@@ -13,7 +13,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, Literal
 
-from t4nmtd_dist.errors import ConfigError
+from t4nmtd_dist.core.errors import ConfigError
 from t4nmtd_dist.runs.file_names import file_name
 
 TensorBoard = Literal["auto", "on", "off"]

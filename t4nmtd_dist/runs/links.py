@@ -7,7 +7,7 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import IO
 
-from t4nmtd_dist.errors import RunError
+from t4nmtd_dist.core.errors import RunError
 
 
 def refuse_links(folder: Path, is_of_a_run: Callable[[str], bool]) -> None:

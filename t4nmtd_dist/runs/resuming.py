@@ -9,8 +9,9 @@ from pathlib import Path
 
 import msgspec
 
-from t4nmtd_dist.config import TaskConfig, merge, read_toml, task_config
-from t4nmtd_dist.errors import ConfigError, RunError
+from t4nmtd_dist.core.config import TaskConfig, merge, read_toml, task_config
+from t4nmtd_dist.core.errors import ConfigError, RunError
+from t4nmtd_dist.core.state_dict import State
 from t4nmtd_dist.runs.counts import described, read_counts
 from t4nmtd_dist.runs.directory import (
     CHECKPOINTS_FOLDER,
@@ -21,7 +22,6 @@ from t4nmtd_dist.runs.directory import (
     write_atomically,
 )
 from t4nmtd_dist.runs.file_names import file_name
-from t4nmtd_dist.runs.state_tree import State
 
 IDENTITY_FILE = "run.json"
 CHECKPOINT_EVERY_S = 300.0

@@ -7,7 +7,7 @@ import json
 from dataclasses import dataclass
 from pathlib import Path
 
-from t4nmtd_dist.errors import RunError
+from t4nmtd_dist.core.errors import RunError
 from t4nmtd_dist.runs.directory import CONFIG_FILE, ENDPOINTS_FILE, LOCK_FILE, SUMMARY_FILE, read_summary
 from t4nmtd_dist.wire.addresses import here
 from t4nmtd_dist.wire.endpoints import check_endpoint

@@ -8,16 +8,16 @@ from collections.abc import Iterator
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 
-import t4nmtd_dist
+from t4nmtd_dist.core.version import __version__
 
 PACKAGES = ("torch", "numpy", "gymnasium", "pyzmq", "msgpack", "msgspec", "safetensors", "ltlf2dfa")
-SOURCES = Path(t4nmtd_dist.__file__).resolve().parent.parent
+SOURCES = Path(__file__).resolve().parents[2]
 GIT_S = 5.0
 
 
 def versions() -> dict[str, str]:
     """Of this package (and its commit, where it is a Git checkout), of Python, and of the packages that compute."""
-    found = {"t4nmtd-dist": t4nmtd_dist.__version__, "python": platform.python_version()}
+    found = {"t4nmtd-dist": __version__, "python": platform.python_version()}
     commit = commit_of(SOURCES)
     if commit:
         found["commit"] = commit

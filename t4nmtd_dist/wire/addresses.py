@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import socket
 
-from t4nmtd_dist.errors import ConfigError
+from t4nmtd_dist.core.errors import ConfigError
 from t4nmtd_dist.wire.endpoints import check_endpoint
 
 LOOPBACK = "127.0.0.1"

@@ -13,7 +13,7 @@ import numpy as np
 from msgspec import Meta
 from numpy.typing import NDArray
 
-from t4nmtd_dist.errors import ProtocolError
+from t4nmtd_dist.core.errors import ProtocolError
 from t4nmtd_dist.wire.fields import LONGEST_NAME, OptionalName, explained, shortened
 from t4nmtd_dist.wire.messages import KINDS, PROTOCOL_VERSION, Message
 

@@ -19,10 +19,10 @@ from pathlib import Path
 import zmq
 from zmq.utils.monitor import recv_monitor_message
 
+from t4nmtd_dist.wire.auth.handshake import Outcome, outcome_of
 from t4nmtd_dist.wire.connections import Connection, connection
-from t4nmtd_dist.wire.handshake import Outcome, outcome_of
 from t4nmtd_dist.wire.limits import Limits
-from t4nmtd_dist.wire.notices import Tell
+from t4nmtd_dist.wire.rate_limited_log import Tell
 from t4nmtd_dist.wire.sockets import MONITORED, Socket
 
 WATCHED = MONITORED | zmq.EVENT_ACCEPTED | zmq.EVENT_CLOSED

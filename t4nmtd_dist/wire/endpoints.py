@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from t4nmtd_dist.errors import ConfigError
+from t4nmtd_dist.core.errors import ConfigError
 
 DEFAULT_CONTROL = "tcp://127.0.0.1:5570"
 DEFAULT_STATE = "tcp://127.0.0.1:5571"

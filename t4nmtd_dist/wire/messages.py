@@ -11,7 +11,7 @@ from typing import Annotated, Any, Literal
 import msgspec
 from msgspec import Meta
 
-from t4nmtd_dist.action_modes import ActionMode
+from t4nmtd_dist.core.action_modes import ActionMode
 from t4nmtd_dist.wire.fields import Address, Amount, Count, Finite, Name, OptionalName, Share, StateNumber, Version
 
 PROTOCOL_VERSION = 2

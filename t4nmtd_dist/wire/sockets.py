@@ -6,10 +6,10 @@ import ipaddress
 
 import zmq
 
-from t4nmtd_dist.errors import ConfigError, ProtocolError
+from t4nmtd_dist.core.errors import ConfigError, ProtocolError
+from t4nmtd_dist.wire.auth.keys import ClientKeys, KeyPair
 from t4nmtd_dist.wire.codec import MAX_ARRAY_BYTES, Envelope, decode, encode
 from t4nmtd_dist.wire.endpoints import check_endpoint
-from t4nmtd_dist.wire.keys import ClientKeys, KeyPair
 
 QUEUED_MESSAGES = 1000
 ENCRYPTION_BYTES = 64  # what CURVE adds to a frame, generously

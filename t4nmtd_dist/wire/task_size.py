@@ -6,9 +6,9 @@ import math
 
 import msgpack
 
-from t4nmtd_dist.compiled import CompiledTask
-from t4nmtd_dist.errors import ConfigError
-from t4nmtd_dist.learners.weight_checks import NetworkSizes, expected_shapes
+from t4nmtd_dist.agents.weight_checks import NetworkSizes, expected_shapes
+from t4nmtd_dist.core.errors import ConfigError
+from t4nmtd_dist.method.compiled import CompiledTask
 from t4nmtd_dist.wire.codec import MAX_ARRAY_BYTES, MAX_ARRAYS, MAX_HEADER_BYTES, MAX_MESSAGE_BYTES
 
 REST_BYTES = 64 << 10  # of the message, beside the task

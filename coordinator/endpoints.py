@@ -1,0 +1,165 @@
+"""The coordinator's two bound sockets, and who may come in by them."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Set
+from contextlib import ExitStack
+from dataclasses import dataclass
+from pathlib import Path
+from queue import Empty, SimpleQueue
+
+import zmq
+
+from t4nmtd_dist.wire.auth.allow_list import AllowedFolder
+from t4nmtd_dist.wire.auth.keys import ClientKeys, KeyPair, load_coordinator
+from t4nmtd_dist.wire.auth.zap import Authenticator, Refusal
+from t4nmtd_dist.wire.codec import Envelope
+from t4nmtd_dist.wire.connection_guard import ConnectionGuard
+from t4nmtd_dist.wire.limits import CONTROL_LIMITS, STATE_LIMITS, Limits
+from t4nmtd_dist.wire.rate_limited_log import Notices
+from t4nmtd_dist.wire.secure_receiver import Arrival, Gate
+from t4nmtd_dist.wire.sockets import Context, Socket, bind, bound_endpoint, new_context, send
+
+MESSAGES_PER_TURN = 200
+
+
+@dataclass(frozen=True)
+class Access:
+    """How the coordinator may be reached.
+
+    Attributes:
+        control: endpoint on which workers are heard.
+        publish: endpoint on which the state is published.
+        keys: the coordinator's key folder; None for loopback and ``insecure``.
+        insecure: allow addresses that other machines can reach without keys.
+    """
+
+    control: str
+    publish: str
+    keys: Path | None = None
+    insecure: bool = False
+
+
+class Doors:
+    """Binds both sockets, with keys if there are any; to be used from one thread.
+
+    Args:
+        access: how the coordinator may be reached.
+
+    Raises:
+        ConfigError: if an endpoint cannot be used.
+        KeyFileError: if the keys cannot be used.
+    """
+
+    def __init__(self, access: Access) -> None:
+        self._noticed: SimpleQueue[str] = SimpleQueue()
+        self._notices = Notices(self._noticed.put)
+        self._own: KeyPair | None = None
+        self._allowed: AllowedFolder | None = None
+        self._acted_upon: Set[str] = frozenset()
+        self._authenticator: Authenticator | None = None
+        self._guards: list[ConnectionGuard] = []
+        with ExitStack() as undo:
+            self._context: Context = new_context()
+            undo.callback(self._context.destroy, 0)
+            undo.callback(self._close_guards)
+            if access.keys is not None:
+                self._authenticator = self._let_in(access.keys)
+                undo.callback(self._authenticator.close)
+            self._control, self._control_gate = self._bind(zmq.ROUTER, access.control, access.insecure, CONTROL_LIMITS)
+            self._publisher, self._state_gate = self._bind(zmq.XPUB, access.publish, access.insecure, STATE_LIMITS)
+            undo.pop_all()
+        self.control, self.publish = bound_endpoint(self._control), bound_endpoint(self._publisher)
+        self._poller = zmq.Poller()
+        self._poller.register(self._control, zmq.POLLIN)
+        self._poller.register(self._publisher, zmq.POLLIN)
+
+    @property
+    def own_keys(self) -> ClientKeys | None:
+        """Keys for this process's own dashboard."""
+        return None if self._own is None else ClientKeys(self._own, self._own.public)
+
+    def _let_in(self, keys: Path) -> Authenticator:
+        self._own = load_coordinator(keys)
+        self._allowed = AllowedFolder(keys, self._own.public, self._notices.once)
+        self._acted_upon = self._allowed.all()
+        return Authenticator(self._context, self._allowed, self._refused)
+
+    def _refused(self, refusal: Refusal) -> None:
+        self._notices.once(f"refused a client at {refusal.address}: its key {refusal.key} is not on the list")
+
+    def _bind(self, kind: int, endpoint: str, insecure: bool, limits: Limits) -> tuple[Socket, Gate]:
+        socket = bind(
+            self._context,
+            kind,
+            endpoint,
+            insecure=insecure,
+            own=self._own,
+            frame_bytes=limits.frame_bytes,
+            queued=limits.queued,
+        )
+        where = bound_endpoint(socket)
+        guard = ConnectionGuard(
+            socket, limits, lambda text: self._notices.once(f"{where}: {text}"), lambda _: self._not_agreed(where)
+        )
+        self._guards.append(guard)
+        return socket, Gate(socket, limits, self._allowed, self._notices.once, guard)
+
+    def _not_agreed(self, where: str) -> None:
+        if self._own is not None:
+            self._notices.once(f"refused a client at {where}: it has no key, or not this coordinator's public key")
+
+    def wait(self, seconds: float) -> tuple[bool, bool]:
+        """Wait until something arrives: whether messages do, and subscriptions."""
+        ready = dict(self._poller.poll(int(seconds * 1000)))
+        return self._control in ready, self._publisher in ready
+
+    def arrivals(self) -> Iterator[Arrival]:
+        """Messages that wait, of those who may send them."""
+        return self._control_gate.arrivals(MESSAGES_PER_TURN)
+
+    def subscribed(self) -> bool:
+        """Take what waits at the state socket; whether it is somebody's subscription."""
+        return self._state_gate.subscribed(MESSAGES_PER_TURN)
+
+    def answer(self, peer: bytes, envelope: Envelope) -> None:
+        """Send to one peer."""
+        send(self._control, envelope, peer=peer)
+
+    def broadcast(self, envelope: Envelope) -> None:
+        """Send to all subscribers."""
+        send(self._publisher, envelope)
+
+    def changed_keys(self) -> Set[str] | None:
+        """All allowed keys if the list has changed, after ending the connections of those taken off; else None."""
+        if self._allowed is None:
+            return None
+        self._allowed.refresh()  # which the authenticator's thread does as well: one of the two sees a change first
+        allowed = self._allowed.all()
+        if allowed == self._acted_upon:
+            return None
+        self._acted_upon = allowed
+        self._control_gate.expel()
+        self._state_gate.expel()
+        return allowed
+
+    def notices(self) -> Iterator[str]:
+        """Lines about trouble since the last call."""
+        while True:
+            try:
+                yield self._noticed.get_nowait()
+            except Empty:
+                return
+
+    def _close_guards(self) -> None:
+        while self._guards:
+            self._guards.pop().close()
+
+    def close(self) -> None:
+        """Close both sockets; what was sent may take half a second to leave."""
+        self._close_guards()
+        self._control.close(500)
+        self._publisher.close(500)
+        if self._authenticator is not None:
+            self._authenticator.close()
+        self._context.term()

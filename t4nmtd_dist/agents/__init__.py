@@ -1,0 +1,1 @@
+"""Low-level learners, one folder each, behind one protocol."""

@@ -1,0 +1,104 @@
+"""What every low-level learner offers, whatever its algorithm."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from t4nmtd_dist.agents.common.networks import Weights
+from t4nmtd_dist.agents.common.peer_values import PeerCritics, Values
+from t4nmtd_dist.agents.common.replay_buffer import Experience
+from t4nmtd_dist.agents.common.rollout import Attempts
+from t4nmtd_dist.core.state_dict import State
+from t4nmtd_dist.environments.batched import Observations
+
+
+class PublishedValues(Protocol):
+    """A copy of the critic that another thread may ask while the learner trains, or that a peer holds."""
+
+    def values(self, arrays: Mapping[str, NDArray[Any]]) -> tuple[Values, int]:
+        """Values of the product states in a value request, and the version of the copy.
+
+        Raises:
+            ProtocolError: if the arrays do not fit.
+        """
+
+    def weights(self) -> tuple[Weights, int]:
+        """What the values are computed from, and its version."""
+
+    def load(self, weights: Mapping[str, NDArray[Any]], version: int) -> None:
+        """Answer from the ``weights`` of another copy from now on.
+
+        Raises:
+            PolicyError: if names or shapes differ; the copy is of no use then.
+            ProtocolError: if they are not finite.
+        """
+
+
+class Learner(Protocol):
+    """Learns one sub-task from its own attempts.
+
+    The loop it is meant for::
+
+        while True:
+            if not learner.iterate(peers):
+                wait_for_start_states()
+            tell(learner.attempts.take_progress(), learner.weights(), learner.version)
+    """
+
+    pid: str
+    attempts: Attempts
+    version: int
+    gradient_steps: int
+    value_shape: tuple[int, ...]
+    peer_steps: int
+    """How many steps of each peer in another process are worth keeping; 0 where peers' experience is not used."""
+
+    @property
+    def experience(self) -> Experience | None:
+        """What it has lived through, for peers to learn from as well; None where nothing is kept."""
+
+    @property
+    def peer_rows(self) -> int:
+        """Experiences of peers that it can learn from now."""
+
+    def learn_from(self, others: Mapping[str, Experience]) -> None:
+        """Learn from these experiences of peers too, by pid, looked into anew at every draw; the own is left out."""
+
+    @property
+    def published(self) -> PublishedValues:
+        """What peers are answered from."""
+
+    def replica(self) -> PublishedValues:
+        """A network of the same shape, to be loaded with a peer's weights."""
+
+    def iterate(self, peers: PeerCritics) -> bool:
+        """Some steps and the updates they call for; False while there is no state to start from."""
+
+    def critic_values(self, observations: Observations, q: NDArray[np.int32]) -> Values:
+        """What a peer in the same process is told of product states, float32 [k] or [k, 2]."""
+
+    def weights(self) -> Weights:
+        """Copies of all parameters by name."""
+
+    def load(self, weights: Mapping[str, NDArray[Any]], version: int) -> None:
+        """Go on from weights learned before."""
+
+    def losses(self) -> tuple[float | None, float | None]:
+        """Entropy (nats) and critic loss of the last update; None before the first."""
+
+    def state(self) -> State:
+        """Everything that decides how learning goes on after an iteration, for a checkpoint.
+
+        Arrays may be views of what is learned with: write or copy them before the next iteration.
+        """
+
+    def load_state(self, state: State) -> None:
+        """Go on from a ``state`` of a learner of the same sub-task and settings, exactly as that one would have.
+
+        Raises:
+            RunError, PolicyError: if it is of a learner of another shape.
+        """

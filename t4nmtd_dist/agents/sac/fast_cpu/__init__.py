@@ -1,0 +1,1 @@
+"""Hand-written kernels of soft actor-critic for the CPU."""

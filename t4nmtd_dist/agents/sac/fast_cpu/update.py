@@ -1,0 +1,188 @@
+"""One gradient step of soft actor-critic (Haarnoja et al., 2018), with the peer's soft value in its target.
+
+The losses are those of Stable-Baselines3's SAC; the gradients are written by hand and tested against autograd. In the
+symbols of the paper: y = r + discount * (min_i Q'_i(s', a') - alpha * log pi(a'|s')), where for experiences that cross
+a sub-task boundary min Q' and log pi come from the peer (T4NMTD, Algorithm 2, line 12) and alpha is the own one.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from t4nmtd_dist.agents.common.squashed_gaussian import (
+    Reals,
+    SquashedSample,
+    deterministic_actions,
+    output_gradient,
+    squashed_sample,
+)
+from t4nmtd_dist.agents.sac.fast_cpu.backward import chosen_input_gradient, weight_gradients
+from t4nmtd_dist.agents.sac.interface import Floats, PeerSoftValues, SACBatch, SACSettings
+from t4nmtd_dist.agents.sac.networks import Activations, GrowingRoom, StackShape, evaluate, layers_of
+from t4nmtd_dist.agents.sac.parameters import NO_UPDATE, LastUpdate, SACParameters
+
+
+class _Room:
+    """Buffers for the update of a batch of a given size; names ending in ``array`` are numpy views of tensors.
+
+    ``inputs`` [2 B, d + A] holds <s, a> above <s', a'>: its columns up to d are what the actor sees.
+    """
+
+    def __init__(self, rows: int, state_size: int, actor: StackShape, critics: StackShape) -> None:
+        self.rows = rows
+        self.inputs = torch.zeros(2 * rows, critics.inputs)
+        self.states = self.inputs[:, :state_size]
+        self.current, self.following = self.inputs[:rows], self.inputs[rows:]
+        self.current_array: Floats = self.current.numpy()
+        self.following_array: Floats = self.following.numpy()
+        self.actor = Activations(actor, 2 * rows)
+        self.critics = Activations(critics, rows)
+        self.values_array: Floats = self.critics.outputs[:, 0].numpy()
+        self.d_values = torch.zeros(critics.count, 1, rows)
+        self.d_values_array: Floats = self.d_values[:, 0].numpy()
+
+
+class SACUpdater(SACParameters):
+    """``SoftActorCritic`` for the CPU, with gradients written by hand.
+
+    Args:
+        state_size: d, the length of a product state.
+        action_size: A.
+        settings: learning rates and sizes.
+        seed: seeds weights and noise.
+    """
+
+    def __init__(self, state_size: int, action_size: int, settings: SACSettings, seed: int) -> None:
+        super().__init__(state_size, action_size, settings, seed)
+        self._log_alpha_array: Floats = self._log_alpha.numpy()
+        actor, critics = self._actor.shape, self._critics.shape
+        self._actor_gradients = layers_of(self._optimisers["actor"].gradient, actor)
+        self._critic_gradients = layers_of(self._optimisers["critics"].gradient, critics)
+        self._acting_room, self._valuing_room = GrowingRoom(actor), GrowingRoom(critics)
+        self._room: _Room | None = None
+        self._last: LastUpdate | None = None
+
+    # Acting
+
+    @torch.no_grad()
+    def act(self, states: Floats, *, deterministic: bool) -> Floats:
+        """See ``SoftActorCritic.act``."""
+        outputs = self._actor_outputs(torch.from_numpy(states))
+        drawn = deterministic_actions(outputs) if deterministic else self._sample(outputs).actions
+        return np.ascontiguousarray(drawn.T, np.float32)
+
+    def _actor_outputs(self, states: Tensor) -> Reals:
+        outputs: Reals = evaluate(self._actor.layers, states, self._acting_room.of(len(states)))[0].numpy()
+        return outputs
+
+    def _sample(self, outputs: Reals) -> SquashedSample:
+        return squashed_sample(outputs, self._noise(outputs.shape[1]))
+
+    @torch.no_grad()
+    def soft_values(self, states: Floats) -> tuple[Floats, Floats]:
+        """See ``SoftActorCritic.soft_values``."""
+        inputs = torch.empty(len(states), self._state_size + self._action_size)
+        inputs[:, : self._state_size] = torch.from_numpy(states)
+        sample = self._sample(self._actor_outputs(inputs[:, : self._state_size]))
+        inputs[:, self._state_size :] = torch.from_numpy(sample.actions.T)
+        values = evaluate(self._targets.layers, inputs, self._valuing_room.of(len(states)))[:, 0].numpy()
+        return values.min(0), sample.log_probs.astype(np.float32, copy=False)
+
+    # Learning
+
+    def update(self, batch: SACBatch, peers: PeerSoftValues | None = None) -> None:
+        """See ``SoftActorCritic.update``."""
+        self.update_with_noise(batch, self._noise(2 * len(batch.rewards)), peers)
+
+    @torch.no_grad()
+    def update_with_noise(self, batch: SACBatch, noise: Floats, peers: PeerSoftValues | None = None) -> None:
+        """See ``SoftActorCritic.update_with_noise``."""
+        room = self._load(batch)
+        alpha = math.exp(self._log_alpha_array[0])
+        if not self._actor_is_due:
+            following = self._sample_from(room, noise, slice(room.rows, None))
+            targets = self._soft_targets(batch, room, following, alpha, peers)
+            self._step_critics(room, targets)
+        else:
+            sample = self._sample_from(room, noise, slice(None))
+            own = sample.part(slice(room.rows))
+            self._step_alpha(own.log_probs)
+            targets = self._soft_targets(batch, room, sample.part(slice(room.rows, None)), alpha, peers)
+            errors = self._step_critics(room, targets)
+            values = self._step_actor(room, own, alpha)
+            self._last = LastUpdate(errors, targets, own.log_probs, values, alpha)
+        self._targets.flat.lerp_(self._critics.flat, self.settings.tau)
+
+    def _sample_from(self, room: _Room, noise: Floats, rows: slice) -> SquashedSample:
+        states = room.states[rows]
+        outputs = evaluate(self._actor.layers, states, room.actor.first(len(states)))
+        return squashed_sample(outputs[0].numpy(), noise[:, rows])
+
+    def _load(self, batch: SACBatch) -> _Room:
+        rows, size = len(batch.rewards), self._state_size
+        if self._room is None or self._room.rows != rows:
+            self._room = _Room(rows, size, self._actor.shape, self._critics.shape)
+        room = self._room
+        room.current_array[:, :size] = batch.states.numpy()
+        room.current_array[:, size:] = batch.actions.numpy()
+        room.following_array[:, :size] = batch.next_states.numpy()
+        return room
+
+    def _step_alpha(self, log_probs: Reals) -> None:
+        optimiser = self._optimisers["alpha"]
+        optimiser.gradient.fill_(-float(log_probs.mean()) - self._target_entropy)
+        optimiser.step()
+
+    def _soft_targets(
+        self, batch: SACBatch, room: _Room, following: SquashedSample, alpha: float, peers: PeerSoftValues | None
+    ) -> Reals:
+        """Soft targets y [B]."""
+        room.following_array[:, self._state_size :] = following.actions.T
+        evaluate(self._targets.layers, room.following, room.critics)
+        values: Reals = room.values_array.min(0)
+        log_probs = following.log_probs
+        if peers is not None:
+            values[peers.rows], log_probs[peers.rows] = peers.values, peers.log_probs
+        values -= alpha * log_probs
+        values *= batch.discounts.numpy()
+        values += batch.rewards.numpy()
+        return values
+
+    def _step_critics(self, room: _Room, targets: Reals) -> Reals:
+        """Step the critics; returns their errors Q_i - y [2, B]."""
+        evaluate(self._critics.layers, room.current, room.critics)
+        errors: Reals = room.values_array - targets
+        np.divide(errors, room.rows, out=room.d_values_array)
+        weight_gradients(self._critics.layers, self._critic_gradients, room.current, room.critics, room.d_values)
+        self._optimisers["critics"].step()
+        return errors
+
+    def _step_actor(self, room: _Room, sample: SquashedSample, alpha: float) -> Reals:
+        """Step the actor; returns min_i Q_i(s, a) of its actions [B]."""
+        rows, layers = room.rows, self._critics.layers
+        room.current_array[:, self._state_size :] = sample.actions.T
+        evaluate(layers, room.current, room.critics)
+        d_actions = chosen_input_gradient(layers, room.critics, room.values_array.argmin(0), self._state_size)
+        d_actions /= -rows
+        d_outputs = torch.from_numpy(output_gradient(sample, d_actions, alpha / rows))[None]
+        states, activations = room.states[:rows], room.actor.first(rows)
+        weight_gradients(self._actor.layers, self._actor_gradients, states, activations, d_outputs)
+        self._optimisers["actor"].step()
+        self._average_actor()
+        values: Reals = room.values_array.min(0)
+        return values
+
+    def losses(self) -> dict[str, float]:
+        """See ``SoftActorCritic.losses``."""
+        return {} if self._last is None else self._last.losses(self._target_entropy)
+
+    @property
+    def targets(self) -> Reals:
+        """See ``SoftActorCritic.targets``."""
+        if self._last is None:
+            raise RuntimeError(NO_UPDATE)
+        return self._last.targets

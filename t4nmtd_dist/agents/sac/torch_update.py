@@ -1,0 +1,238 @@
+"""SAC's gradient step in plain torch, for any device: the losses to read, with their gradients left to autograd.
+
+On the CPU ``sac_update`` does the same in two thirds of the time; the tests hold the two against each other. Here the
+device is never waited for within an update: a batch goes there as one array, and nothing comes back before it is asked
+for.
+"""
+
+from __future__ import annotations
+
+import math
+from contextlib import AbstractContextManager, nullcontext
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+from torch import Tensor
+from torch.nn import functional
+
+from t4nmtd_dist.agents.common.squashed_gaussian import LOG_STD_MAX, LOG_STD_MIN, SQUASH_EPSILON, Reals
+from t4nmtd_dist.agents.sac.fast_cpu.update import SACUpdater
+from t4nmtd_dist.agents.sac.interface import Floats, PeerSoftValues, SACBatch, SACSettings, SoftActorCritic
+from t4nmtd_dist.agents.sac.networks import LAYER_NORM_EPSILON, HiddenLayer, Layers, Stack, layers_of
+from t4nmtd_dist.agents.sac.parameters import NO_UPDATE, LastUpdate, SACParameters
+
+
+def updater_on(device: str, state_size: int, action_size: int, settings: SACSettings, seed: int) -> SoftActorCritic:
+    """SAC for a device: the hand-written one on the CPU, plain torch anywhere else."""
+    if device == "cpu":
+        return SACUpdater(state_size, action_size, settings, seed)
+    return TorchSACUpdater(state_size, action_size, settings, seed, device)
+
+
+@dataclass(frozen=True)
+class _Given:
+    """A batch on the device: experiences, noise, and what peers have answered (1 in ``answered``) [B, ..]."""
+
+    states: Tensor
+    actions: Tensor
+    rewards: Tensor
+    discounts: Tensor
+    next_states: Tensor
+    noise: Tensor
+    next_noise: Tensor
+    answered: Tensor
+    peer_values: Tensor
+    peer_log_probs: Tensor
+
+
+@dataclass(frozen=True)
+class _Last:
+    """``LastUpdate`` while it is still on the device."""
+
+    errors: Tensor
+    targets: Tensor
+    log_probs: Tensor
+    values: Tensor
+    alpha: Tensor
+
+    def fetched(self) -> LastUpdate:
+        """The same in numpy; waits for the device."""
+        errors, targets, log_probs, values = (
+            each.cpu().numpy() for each in (self.errors, self.targets, self.log_probs, self.values)
+        )
+        return LastUpdate(errors, targets, log_probs, values, float(self.alpha))
+
+
+def evaluate_plainly(layers: Layers, inputs: Tensor) -> Tensor:
+    """Outputs [n, rows, outputs] of all networks of a stack on the same inputs [rows, inputs], for autograd."""
+    hidden = inputs.expand(len(layers.head_bias), *inputs.shape)
+    for layer in layers.hidden:
+        hidden = _normalised(layer, torch.baddbmm(layer.bias, hidden, layer.weight)).relu()
+    return torch.baddbmm(layers.head_bias.transpose(1, 2), hidden, layers.head_weight.transpose(1, 2))
+
+
+def _normalised(layer: HiddenLayer, linear: Tensor) -> Tensor:
+    if layer.gain is None or layer.shift is None:
+        return linear
+    normal = functional.layer_norm(linear, linear.shape[-1:], eps=LAYER_NORM_EPSILON)
+    return normal * layer.gain[:, None] + layer.shift[:, None]
+
+
+def squashed(outputs: Tensor, noise: Tensor) -> tuple[Tensor, Tensor]:
+    """Actions tanh(mean + std * noise) [rows, A] and log pi of them [rows] (Haarnoja et al., 2018, appendix C).
+
+    Args:
+        outputs: the actor's outputs, means before log standard deviations [rows, 2 A].
+        noise: standard normal [rows, A].
+    """
+    mean, log_std = outputs.chunk(2, -1)
+    log_std = log_std.clamp(LOG_STD_MIN, LOG_STD_MAX)
+    actions = torch.tanh(mean + log_std.exp() * noise)
+    log_normal = -0.5 * noise.square() - log_std - 0.5 * math.log(2 * math.pi)
+    return actions, (log_normal - torch.log(1 - actions.square() + SQUASH_EPSILON)).sum(-1)
+
+
+def _leaf(tensor: Tensor, gradient: Tensor) -> Tensor:
+    """The same memory as a tensor that autograd differentiates by; derivatives are added to ``gradient``."""
+    leaf = tensor.detach().requires_grad_()
+    leaf.grad = gradient
+    return leaf
+
+
+def _leaves(stack: Stack, gradient: Tensor) -> Layers:
+    layers, gradients = layers_of(stack.flat.detach(), stack.shape), layers_of(gradient, stack.shape)
+    for name, tensor in layers.named.items():
+        tensor.requires_grad_().grad = gradients.named[name]
+    return layers
+
+
+class TorchSACUpdater(SACParameters):
+    """``SoftActorCritic`` by autograd.
+
+    Args:
+        state_size: d, the length of a product state.
+        action_size: A.
+        settings: learning rates and sizes.
+        seed: seeds weights and noise.
+        device: where to compute.
+        bf16: multiply matrices in bfloat16; parameters, losses and optimisers stay in float32.
+    """
+
+    def __init__(
+        self, state_size: int, action_size: int, settings: SACSettings, seed: int, device: str, *, bf16: bool = False
+    ) -> None:
+        super().__init__(state_size, action_size, settings, seed, device)
+        self._device, self._bf16 = device, bf16
+        gradients = {name: optimiser.gradient for name, optimiser in self._optimisers.items()}
+        self._trained_actor = _leaves(self._actor, gradients["actor"])
+        self._trained_critics = _leaves(self._critics, gradients["critics"])
+        self._trained_log_alpha = _leaf(self._log_alpha, gradients["alpha"])
+        self._last: _Last | None = None
+
+    def _run(self, layers: Layers, inputs: Tensor) -> Tensor:
+        precision: AbstractContextManager[object] = nullcontext()
+        if self._bf16:
+            precision = torch.autocast(torch.device(self._device).type, torch.bfloat16)
+        with precision:
+            return evaluate_plainly(layers, inputs).float()
+
+    def _values(self, layers: Layers, states: Tensor, actions: Tensor) -> Tensor:
+        """Q_i(s, a) [2, rows]."""
+        return self._run(layers, torch.cat((states, actions), 1)).squeeze(-1)
+
+    # Acting
+
+    @torch.no_grad()
+    def act(self, states: Floats, *, deterministic: bool) -> Floats:
+        """See ``SoftActorCritic.act``."""
+        outputs = self._run(self._actor.layers, torch.from_numpy(states).to(self._device))[0]
+        if deterministic:
+            actions: Floats = outputs[:, : self._action_size].tanh().cpu().numpy()
+        else:
+            actions = squashed(outputs, self._drawn_noise(len(states)))[0].cpu().numpy()
+        return actions
+
+    def _drawn_noise(self, rows: int) -> Tensor:
+        return torch.from_numpy(self._noise(rows)).t().to(self._device)
+
+    @torch.no_grad()
+    def soft_values(self, states: Floats) -> tuple[Floats, Floats]:
+        """See ``SoftActorCritic.soft_values``."""
+        inputs = torch.from_numpy(states).to(self._device)
+        actions, log_probs = squashed(self._run(self._actor.layers, inputs)[0], self._drawn_noise(len(states)))
+        values = self._values(self._targets.layers, inputs, actions).amin(0)
+        return values.cpu().numpy(), log_probs.cpu().numpy()
+
+    # Learning
+
+    def update(self, batch: SACBatch, peers: PeerSoftValues | None = None) -> None:
+        """See ``SoftActorCritic.update``."""
+        self.update_with_noise(batch, self._noise(2 * len(batch.rewards)), peers)
+
+    def update_with_noise(self, batch: SACBatch, noise: Floats, peers: PeerSoftValues | None = None) -> None:
+        """See ``SoftActorCritic.update_with_noise``."""
+        given, alpha = self._load(batch, noise, peers), self._log_alpha.exp()
+        if self._actor_is_due:
+            actions, log_probs = squashed(self._run(self._trained_actor, given.states)[0], given.noise)
+            self._step_alpha(log_probs.detach())
+            targets = self._soft_targets(given, alpha)
+            errors = self._step_critics(given, targets)
+            values = self._step_actor(given, actions, log_probs, alpha)
+            self._average_actor()
+            self._last = _Last(errors, targets, log_probs.detach(), values, alpha)
+        else:
+            self._step_critics(given, self._soft_targets(given, alpha))
+        self._targets.flat.lerp_(self._critics.flat, self.settings.tau)
+
+    def _load(self, batch: SACBatch, noise: Floats, peers: PeerSoftValues | None) -> _Given:
+        rows, d, a = len(batch.rewards), self._state_size, self._action_size
+        answers = np.zeros((rows, 3), np.float32)
+        if peers is not None:
+            answers[peers.rows] = np.stack((np.ones_like(peers.values), peers.values, peers.log_probs), 1)
+        drawn = torch.from_numpy(noise).t()
+        columns = (batch.states, batch.actions, batch.rewards[:, None], batch.discounts[:, None], batch.next_states)
+        packed = torch.cat((*columns, drawn[:rows], drawn[rows:], torch.from_numpy(answers)), 1)
+        parts = torch.split(packed.to(self._device, non_blocking=True), [d, a, 1, 1, d, a, a, 1, 1, 1], 1)
+        return _Given(*(part if place in (0, 1, 4, 5, 6) else part.squeeze(1) for place, part in enumerate(parts)))
+
+    def _step(self, part: str, loss: Tensor) -> None:
+        optimiser = self._optimisers[part]
+        optimiser.gradient.zero_()
+        loss.backward()  # type: ignore[no-untyped-call]
+        optimiser.step()
+
+    def _step_alpha(self, log_probs: Tensor) -> None:
+        self._step("alpha", -(self._trained_log_alpha * (log_probs + self._target_entropy)).mean())
+
+    @torch.no_grad()
+    def _soft_targets(self, given: _Given, alpha: Tensor) -> Tensor:
+        """Soft targets y [B]."""
+        actions, log_probs = squashed(self._run(self._actor.layers, given.next_states)[0], given.next_noise)
+        values = self._values(self._targets.layers, given.next_states, actions).amin(0)
+        values = torch.where(given.answered > 0, given.peer_values, values)
+        log_probs = torch.where(given.answered > 0, given.peer_log_probs, log_probs)
+        return given.rewards + given.discounts * (values - alpha * log_probs)
+
+    def _step_critics(self, given: _Given, targets: Tensor) -> Tensor:
+        """Step the critics; returns their errors Q_i - y [2, B]."""
+        errors = self._values(self._trained_critics, given.states, given.actions) - targets
+        self._step("critics", 0.5 * errors.square().mean(1).sum())
+        return errors.detach()
+
+    def _step_actor(self, given: _Given, actions: Tensor, log_probs: Tensor, alpha: Tensor) -> Tensor:
+        """Step the actor, the critics' weights being constants; returns min_i Q_i(s, a) of its actions [B]."""
+        values = self._values(self._critics.layers, given.states, actions).amin(0)
+        self._step("actor", (alpha * log_probs - values).mean())
+        return values.detach()
+
+    def losses(self) -> dict[str, float]:
+        """See ``SoftActorCritic.losses``."""
+        return {} if self._last is None else self._last.fetched().losses(self._target_entropy)
+
+    @property
+    def targets(self) -> Reals:
+        """See ``SoftActorCritic.targets``."""
+        if self._last is None:
+            raise RuntimeError(NO_UPDATE)
+        return self._last.fetched().targets

@@ -1,0 +1,137 @@
+"""Whether weights that came from elsewhere are those of a task's networks: names, types, shapes, finite numbers."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from itertools import pairwise
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from t4nmtd_dist.agents.common.normalisation import stored_normalisation
+from t4nmtd_dist.agents.sac.networks import StackShape, parameter_shapes
+from t4nmtd_dist.core.config import TaskConfig
+from t4nmtd_dist.core.errors import PolicyError
+
+Shapes = dict[str, tuple[int, ...]]
+Arrays = Mapping[str, NDArray[Any]]
+
+
+@dataclass(frozen=True)
+class NetworkSizes:
+    """What the settings of a task do not say of its networks.
+
+    Attributes:
+        observation: length of an observation.
+        action: number of actions (PPO), or numbers in an action (SAC).
+    """
+
+    observation: int
+    action: int
+
+
+def expected_shapes(config: TaskConfig, dfa_states: int, sizes: NetworkSizes) -> Shapes:
+    """Names and shapes of all parameters that a learner of a task has."""
+    inputs = sizes.observation + dfa_states
+    return (_sac_shapes if config.learner.algorithm == "sac" else _ppo_shapes)(config, inputs, sizes.action)
+
+
+def _ppo_shapes(config: TaskConfig, inputs: int, actions: int) -> Shapes:
+    shapes: Shapes = {}
+    for part, outputs in (("actor", actions), ("critic", 1)):
+        widths = [inputs, *config.learner.hidden, outputs]
+        for number, (width, out) in enumerate(pairwise(widths)):
+            shapes[f"{part}.{2 * number}.weight"] = (out, width)
+            shapes[f"{part}.{2 * number}.bias"] = (out,)
+    return shapes
+
+
+def _sac_shapes(config: TaskConfig, inputs: int, actions: int) -> Shapes:
+    hidden = config.learner.hidden
+    actor = StackShape(1, inputs, hidden, 2 * actions, layer_norm=False)
+    critics = StackShape(2, inputs + actions, hidden, 1, layer_norm=config.sac.layer_norm)
+    parts = {"actor": actor, "average": actor, "critics": critics, "targets": critics}
+    shapes = {f"{part}.{name}": size for part, shape in parts.items() for name, size in parameter_shapes(shape)}
+    return shapes | {"log_alpha": (1,), "average.low": (actions,), "average.high": (actions,)}
+
+
+def sizes_of(weights: Arrays, config: TaskConfig, dfa_states: int) -> NetworkSizes:
+    """The sizes that weights claim to have.
+
+    Raises:
+        PolicyError: if they have none.
+    """
+    first, last = ("actor.0.weight", "average.low") if config.learner.algorithm == "sac" else _ends_of_actor(config)
+    shape, end = (weights[name].shape if name in weights else () for name in (first, last))
+    if len(shape) < 2 or not end:
+        raise PolicyError(f"weights do not fit: {first} and {last} are expected, and are missing or of another shape")
+    return NetworkSizes(shape[1] - dfa_states, end[0])
+
+
+def _ends_of_actor(config: TaskConfig) -> tuple[str, str]:
+    return "actor.0.weight", f"actor.{2 * len(config.learner.hidden)}.bias"
+
+
+def check_weights(
+    weights: Arrays, config: TaskConfig, dfa_states: int, sizes: NetworkSizes | None = None
+) -> NetworkSizes:
+    """Check weights of a learner against its task.
+
+    Args:
+        weights: parameters by name.
+        config: the task.
+        dfa_states: |Q|.
+        sizes: of the weights of this task's other learners, if known: all are alike.
+
+    Returns:
+        The sizes.
+
+    Raises:
+        PolicyError: if they do not fit, or are not finite; the text says what.
+    """
+    statistics, weights = stored_normalisation(weights)
+    found = sizes_of(weights, config, dfa_states)
+    if min(found.observation, found.action) < 1:
+        raise PolicyError(f"weights do not fit: they are for observations of {found.observation} numbers")
+    sizes = sizes or found
+    if statistics is not None and statistics.size != sizes.observation:
+        raise PolicyError(
+            f"weights do not fit: statistics of {statistics.size} observed numbers, expected {sizes.observation}"
+        )
+    check_shapes(weights, expected_shapes(config, dfa_states, sizes))
+    return sizes
+
+
+def check_alike(weights: Arrays, own: Arrays) -> None:
+    """Check weights against those of a learner that is to go on from them.
+
+    Raises:
+        PolicyError: if they do not fit, or are not finite; the text says what.
+    """
+    theirs, weights = stored_normalisation(weights)
+    ours, own = stored_normalisation(own)
+    if (theirs is None) != (ours is None) or (theirs is not None and ours is not None and theirs.size != ours.size):
+        raise PolicyError("weights do not fit: their statistics of observations are of other observations, or missing")
+    check_shapes(weights, {name: array.shape for name, array in own.items()})
+
+
+def check_shapes(weights: Arrays, expected: Shapes) -> None:
+    """Check that weights are float32, finite, and have the expected names and shapes.
+
+    Raises:
+        PolicyError: if not; the text says what.
+    """
+    missing = sorted(expected.keys() - weights.keys())
+    unknown = sorted(weights.keys() - expected.keys())
+    if missing or unknown:
+        wrong = f"{missing[0]} is missing" if missing else f"{unknown[0]} is unknown"
+        raise PolicyError(f"weights do not fit: {wrong}")
+    for name, array in weights.items():
+        if array.dtype != np.float32 or array.shape != expected[name]:
+            raise PolicyError(
+                f"weights do not fit: {name} is {array.dtype} {array.shape}, expected float32 {expected[name]}"
+            )
+        if not np.isfinite(array).all():
+            raise PolicyError(f"weights are expected to be finite; {name} is not")

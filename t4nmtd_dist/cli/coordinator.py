@@ -1,0 +1,118 @@
+"""``t4nmtd-coordinator``: owns a task and waits for workers."""
+
+from __future__ import annotations
+
+import signal
+import sys
+from dataclasses import dataclass
+from pathlib import Path
+from types import FrameType
+
+from t4nmtd_dist.cli.entry import parse
+from t4nmtd_dist.cli.options import RunOptions
+from t4nmtd_dist.wire.endpoints import DEFAULT_CONTROL, DEFAULT_STATE
+
+EXIT_CODES = {"solved": 0, "budget spent": 3, "stopped": 130}
+
+
+@dataclass(frozen=True)
+class CoordinatorCommand(RunOptions):
+    """Coordinate the learners of a task until it is solved or the budget is spent."""
+
+    bind: str = DEFAULT_CONTROL
+    """Endpoint on which workers are heard."""
+    publish: str = DEFAULT_STATE
+    """Endpoint on which the state is published for dashboards."""
+    keys: Path | None = None
+    """Folder of keys made by `t4nmtd keys new`; needed for addresses that other machines can reach."""
+    insecure: bool = False
+    """Allow addresses that other machines can reach without keys: on a trusted network only."""
+    no_dashboard: bool = False
+    """Show nothing on this terminal but the outcome."""
+    lease: float = 10.0
+    """Seconds of silence after which a worker counts as lost and its sub-task is free again."""
+    lifeline: int | None = None
+    """End when the process of this number, which started this one, has ended (used by `t4nmtd train`)."""
+
+
+def main() -> None:
+    """Entry point of ``t4nmtd-coordinator``."""
+    sys.exit(run(parse(CoordinatorCommand, "t4nmtd-coordinator", CoordinatorCommand.__doc__)))
+
+
+def run(command: CoordinatorCommand) -> int:
+    """Run a coordinator; the exit code: 0 solved, 3 budget spent, 130 stopped, 2 usage."""
+    from t4nmtd_dist.core.errors import T4NMTDError
+    from t4nmtd_dist.process.parent_watchdog import end_with_parent
+
+    if command.lifeline is not None:
+        end_with_parent(command.lifeline)
+    try:
+        return _serve(command)
+    except T4NMTDError as error:
+        print(f"t4nmtd-coordinator: {error}", file=sys.stderr)
+        return 2
+    except KeyboardInterrupt:
+        return EXIT_CODES["stopped"]
+
+
+def _serve(command: CoordinatorCommand) -> int:
+    from coordinator.endpoints import Access
+    from coordinator.service import CoordinatorService
+    from coordinator.snapshot import summary
+    from coordinator.state import CoordinatorState, RunSettings
+    from coordinator.ui.viewer import BackgroundViewer
+    from t4nmtd_dist.cli.plan import plan_run
+    from t4nmtd_dist.core.errors import ConfigError
+    from t4nmtd_dist.environments.cautions import cautions
+    from t4nmtd_dist.environments.preparation import prepared
+    from t4nmtd_dist.method.compiled import compile_task
+    from t4nmtd_dist.process.signals import hear_ends
+    from t4nmtd_dist.runs.report import outcome_text
+    from t4nmtd_dist.wire.addresses import here
+    from t4nmtd_dist.wire.sockets import new_context
+    from t4nmtd_dist.wire.task_size import check_task_size
+
+    if not command.lease > 0:
+        raise ConfigError(f"--lease {command.lease}: expected seconds above 0")
+    plan = plan_run(command)
+    if plan.solved:
+        print(plan.solved)
+        return EXIT_CODES["solved"]
+    config = plan.config
+    task = prepared(compile_task(config, translator=command.translator, seed=plan.seed))
+    check_task_size(task)
+    for warning in cautions(task):
+        print(f"warning: {warning}", file=sys.stderr)
+    budget, directory, run_id = config.max_interactions, plan.directory, plan.identity.run_id
+    state = CoordinatorState(task, RunSettings(plan.seed, budget, str(directory), command.lease, run_id))
+    access = Access(command.bind, command.publish, command.keys, command.insecure)
+    service = CoordinatorService(
+        state,
+        directory,
+        access,
+        restart=command.restart,
+        resume=plan.resumes,
+        checkpoint_every_s=command.checkpoint_every,
+        tensorboard=command.tensorboard,
+        by_hand=command.lifeline is None,
+    )
+    if service.commands is not None and not command.no_dashboard:
+        print(service.commands.welcome(config.name), flush=True)
+
+    def stop(number: int, _: FrameType | None) -> None:
+        service.interrupt(signal.Signals(number).name)
+
+    hear_ends(stop)
+    viewer = None if command.no_dashboard else BackgroundViewer(new_context(), here(service.publish), service.own_keys)
+    try:
+        service.serve()
+    finally:
+        if viewer is not None:
+            viewer.close()
+    print(f"{config.name} seed {plan.seed}: {outcome_text(summary(state), directory)}; run directory {directory}")
+    return EXIT_CODES[state.outcome or "stopped"]
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,220 @@
+"""A task's environment under random actions: what it reports, how it ends, and whether it fits the task."""
+
+from __future__ import annotations
+
+import dataclasses
+import time
+from collections import Counter
+from dataclasses import dataclass, field
+
+from t4nmtd_dist.automata.acceptance import LAST
+from t4nmtd_dist.core.config import LearnerConfig
+from t4nmtd_dist.core.errors import T4NMTDError, WorldError
+from t4nmtd_dist.environments.decisions import decided
+from t4nmtd_dist.environments.exclusive import Suggestion, suggestions
+from t4nmtd_dist.environments.observation_range import ObservationRange
+from t4nmtd_dist.environments.preparation import check_fit, slowness
+from t4nmtd_dist.environments.restoring import Choice, choose_snapshots, chosen
+from t4nmtd_dist.environments.single_env import EnvironmentCopy
+from t4nmtd_dist.environments.timed import check_last_is_free, ends_episode
+from t4nmtd_dist.environments.user_errors import described
+from t4nmtd_dist.method.compiled import CompiledTask
+from t4nmtd_dist.tasks import is_packages_environment
+
+MORE_TRIALS = 20
+FORGOTTEN = 0.05
+"""The share of a reward that a learner must still see from the start of an episode."""
+
+
+@dataclass
+class Survey:
+    """What was found.
+
+    Attributes:
+        environment: the environment with its wrappers, as it prints itself.
+        observation_space, action_space: as they print themselves.
+        observation_size: numbers in an observation as the networks see it, the remaining time included.
+        learner: its settings, with everything decided that was left to the environment.
+        propositions: all that may be reported.
+        snapshots: the adapter that restores exactly.
+        observations: what they were like.
+        steps, episodes: how many were taken.
+        cut: accepted episodes that the environment itself ended before the horizon.
+        endings: episodes by how they ended: accepted, error, terminated, truncated, horizon.
+        true_steps: steps on which each proposition held.
+        together: how often each set of names that an exclusive group forbids was seen.
+        seen: how often each set of true propositions was seen.
+        suggestions: groups that might be declared exclusive.
+        steps_per_s: one copy, labels included.
+        problems: what makes the task unusable.
+        warnings: what deserves a look.
+    """
+
+    environment: str
+    observation_space: str
+    action_space: str
+    observation_size: int
+    learner: LearnerConfig
+    propositions: tuple[str, ...]
+    snapshots: Choice
+    observations: ObservationRange
+    steps: int = 0
+    episodes: int = 0
+    cut: int = 0
+    endings: Counter[str] = field(default_factory=Counter)
+    true_steps: Counter[str] = field(default_factory=Counter)
+    together: Counter[tuple[str, ...]] = field(default_factory=Counter)
+    seen: Counter[frozenset[str]] = field(default_factory=Counter)
+    suggestions: list[Suggestion] = field(default_factory=list)
+    steps_per_s: float = 0.0
+    problems: list[str] = field(default_factory=list)
+    warnings: list[str] = field(default_factory=list)
+
+    @property
+    def normalised(self) -> bool:
+        """Whether learners normalise numbers of the observations."""
+        numbers = any(not part.one_hot for part in self.observations.parts)
+        return numbers and self.learner.normalise_observations == "on"
+
+    @property
+    def never_true(self) -> list[str]:
+        """Propositions that never held."""
+        return [name for name in self.propositions if not self.true_steps[name]]
+
+
+def survey(task: CompiledTask, *, steps: int, seed: int) -> Survey:
+    """Act at random for a while.
+
+    Args:
+        task: any task, the package's own too.
+        steps: how many.
+        seed: of resets and actions.
+
+    Raises:
+        WorldError: if the environment cannot be opened, stepped, labelled or restored.
+    """
+    config = task.config
+    try:
+        choice = choose_snapshots(config.environment, config.propositions, trials=MORE_TRIALS)
+        copy = EnvironmentCopy(chosen(config.environment, choice), config.propositions)
+        task = dataclasses.replace(task, config=decided(config, copy.action_space))
+        found = _described(task, copy, choice)
+        _fits(task, copy, found)
+        _act(task, copy, found, steps, seed)
+    except T4NMTDError:
+        raise
+    except Exception as error:  # whatever a user's environment may raise
+        raise WorldError(f"environment {config.environment.id!r} raised {described(error)}") from error
+    _judge(task, found)
+    found.suggestions = suggestions(task, found.seen)
+    return found
+
+
+def _described(task: CompiledTask, copy: EnvironmentCopy, choice: Choice) -> Survey:
+    timed = task.config.acceptance == "end"
+    return Survey(
+        str(copy.env),
+        str(copy.env.observation_space),
+        str(copy.action_space),
+        copy.observation_size + timed,
+        task.config.learner,
+        tuple(name for name in copy.propositions if not (timed and name == LAST)),
+        choice,
+        ObservationRange(copy.parts),
+    )
+
+
+def _fits(task: CompiledTask, copy: EnvironmentCopy, found: Survey) -> None:
+    try:
+        last = (LAST,) if task.config.acceptance == "end" else ()
+        if last:
+            check_last_is_free(copy.propositions)
+        check_fit(task, (*copy.propositions, *last), copy.action_space)
+    except WorldError as error:
+        found.problems.append(str(error))
+
+
+def _act(task: CompiledTask, copy: EnvironmentCopy, found: Survey, steps: int, seed: int) -> None:
+    copy.action_space.seed(seed)
+    began = time.perf_counter()
+    while found.steps < steps:
+        _episode(task, copy, found, steps, seed)
+    found.steps_per_s = found.steps / (time.perf_counter() - began)
+
+
+def _episode(task: CompiledTask, copy: EnvironmentCopy, found: Survey, steps: int, seed: int) -> None:
+    found.observations.note(copy.reset(seed if not found.steps else None))
+    q, ending, horizon = task.dfa.initial, "horizon", task.config.environment.horizon
+    for t in range(1, horizon + 1):
+        step = copy.step(copy.action_space.sample())
+        true = [name for name, holds in zip(copy.propositions, step.labels, strict=True) if holds]
+        names = [name for name in true if name in found.propositions]
+        found.observations.note(step.observation)
+        found.steps += 1
+        found.true_steps.update(names)
+        found.seen[frozenset(names)] += 1
+        for group in task.config.exclusive:
+            both = tuple(name for name in names if name in group)
+            found.together.update([both] if len(both) > 1 else [])
+        if ends_episode(t, horizon, terminated=step.terminated, truncated=step.truncated):
+            names.append(LAST)
+        q = task.dfa.step(q, names)
+        found.cut += LAST in names and t < horizon and q in task.dfa.accepting
+        ending = _ending(task, q, step.terminated, step.truncated)
+        if ending != "horizon":
+            break
+        if found.steps >= steps:
+            return
+    found.episodes += 1
+    found.endings[ending] += 1
+
+
+def _ending(task: CompiledTask, q: int, terminated: bool, truncated: bool) -> str:
+    holds = {
+        "accepted": q in task.dfa.accepting,
+        "error": q in task.dfa.error,
+        "terminated": terminated,
+        "truncated": truncated,
+    }
+    return next((name for name, held in holds.items() if held), "horizon")
+
+
+def _judge(task: CompiledTask, found: Survey) -> None:
+    for names, times in found.together.items():
+        text = f"exclusive says that {' and '.join(names)} never hold together, but they did on {times} steps"
+        found.problems.append(text)
+    unseen = [name for name in found.never_true if name in task.dfa.propositions]
+    if unseen:
+        found.warnings.append(
+            f"{', '.join(unseen)} never held under {found.steps} random steps: exploration may not find it either, "
+            "or it is never reported"
+        )
+    always = [name for name in found.propositions if found.true_steps[name] == found.steps]
+    if always:
+        found.warnings.append(f"{', '.join(always)} held on every step: does it depend on the state?")
+    found.warnings += _about_the_end(task, found)
+    if not is_packages_environment(task.config.environment):
+        found.warnings += found.observations.warnings(normalised=found.normalised)
+    slow = slowness(chosen(task.config.environment, found.snapshots))
+    if slow is not None:
+        found.warnings.append(slow)
+
+
+def _about_the_end(task: CompiledTask, found: Survey) -> list[str]:
+    """What deserves a look where the trace ends with the episode."""
+    if task.config.acceptance != "end":
+        return []
+    horizon, gamma = task.config.environment.horizon, task.config.learner.gamma
+    warnings = []
+    if gamma**horizon < FORGOTTEN:
+        warnings.append(
+            f"success comes with the end of the episode, {horizon} steps away, of which learner.gamma = {gamma} leaves "
+            f"{gamma**horizon:.1g}: raise it to {1 - 1 / horizon:.4g} or more, or lower environment.horizon"
+        )
+    if found.cut:
+        warnings.append(
+            f"the environment itself ended {found.cut} of {found.episodes} episodes before the horizon, and they count "
+            "as accepted because the formula held by then; if the environment must not end them, make a proposition of "
+            "what ended them, and forbid it in the formula"
+        )
+    return warnings

@@ -1,0 +1,66 @@
+"""What all snapshots of bytes share: one length for all of a run, and the environment's dice."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from t4nmtd_dist.core.errors import WorldError
+from t4nmtd_dist.environments.opening import Env
+
+_LENGTH = np.dtype("<u4")
+
+
+def throw_new_dice(env: Env, seed: int) -> None:
+    """Seed the environment's ``np_random`` where it is, so that all who hold it see the change."""
+    fresh = np.random.default_rng(seed)
+    held = env.unwrapped.np_random
+    if type(held.bit_generator) is type(fresh.bit_generator):
+        held.bit_generator.state = fresh.bit_generator.state
+    else:
+        env.unwrapped.np_random = fresh
+
+
+def dice_state(env: Env) -> Any:
+    """Where the environment's ``np_random`` is; None if it has none yet."""
+    held = getattr(env.unwrapped, "_np_random", None)
+    return held.bit_generator.state if isinstance(held, np.random.Generator) else None
+
+
+def set_dice_state(env: Env, state: Any) -> None:
+    """Let the environment's ``np_random`` go on from a ``dice_state``."""
+    if state is not None:
+        env.unwrapped.np_random.bit_generator.state = state
+
+
+def padded(data: bytes, room: int) -> NDArray[np.uint8]:
+    """Length, data, and zeros up to ``room`` bytes of data (0: no more than needed), uint8.
+
+    Raises:
+        WorldError: if there is more than that.
+    """
+    if room and len(data) > room:
+        raise WorldError(
+            f"a snapshot takes {len(data)} bytes, and the task has room for {room}: "
+            'set environment.snapshot_bytes higher, or environment.snapshots = "replay"'
+        )
+    array = np.zeros(_LENGTH.itemsize + max(room, len(data)), np.uint8)
+    array[:4].view(_LENGTH)[0] = len(data)
+    array[4 : 4 + len(data)] = np.frombuffer(data, np.uint8)
+    return array
+
+
+def unpadded(state: NDArray[Any]) -> bytes:
+    """What ``padded`` was given.
+
+    Raises:
+        ValueError: if the array was not made so.
+    """
+    if state.dtype != np.uint8 or state.ndim != 1 or len(state) < _LENGTH.itemsize:
+        raise ValueError(f"expected uint8 [n], got {state.dtype} {state.shape}")
+    length = int(np.ascontiguousarray(state[:4]).view(_LENGTH)[0])
+    if length > len(state) - 4:
+        raise ValueError(f"{length} bytes announced, {len(state) - 4} came")
+    return state[4 : 4 + length].tobytes()

@@ -1,0 +1,94 @@
+"""A task made ready for training: automaton, sub-tasks, distances and potentials from its settings."""
+
+from __future__ import annotations
+
+import dataclasses
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from t4nmtd_dist.automata.acceptance import task_automaton
+from t4nmtd_dist.automata.deadline import Deadline
+from t4nmtd_dist.automata.dfa import DFA
+from t4nmtd_dist.automata.formula import names_in_order
+from t4nmtd_dist.automata.translate import translate
+from t4nmtd_dist.core.config import TaskConfig
+from t4nmtd_dist.core.errors import ConfigError
+from t4nmtd_dist.method.decomposition import Decomposition, decompose
+from t4nmtd_dist.method.high_level import QTable
+from t4nmtd_dist.method.potential import distances, potentials
+
+Translator = Literal["auto", "mona", "python"]
+
+
+@dataclass(frozen=True)
+class CompiledTask:
+    """What the coordinator hands to every worker.
+
+    Attributes:
+        dist: distance of every DFA state to acceptance, infinite in E.
+        rho: potential of every DFA state, float64 [Q].
+    """
+
+    config: TaskConfig
+    dfa: DFA
+    decomposition: Decomposition
+    dist: dict[int, float]
+    rho: NDArray[np.float64]
+
+    @property
+    def terminal(self) -> frozenset[int]:
+        """F and E."""
+        return self.dfa.accepting | self.dfa.error
+
+    def q_table(self) -> QTable:
+        """An empty Q table for this task."""
+        high = self.config.high_level
+        return QTable(
+            self.decomposition,
+            self.terminal,
+            alpha=high.alpha,
+            gamma=self.config.learner.gamma,
+            epsilon=high.epsilon,
+            smdp_discount=high.smdp_discount,
+        )
+
+
+def decomposed(task: TaskConfig, dfa: DFA, *, seed: int = 0, deadline: Deadline | None = None) -> Decomposition:
+    """The sub-tasks of a task's automaton, under the task's settings.
+
+    Raises:
+        ConfigError: see ``decompose``.
+    """
+    settings = task.decomposition
+    return decompose(
+        dfa,
+        exclusive=task.exclusive,
+        mode=settings.mode,
+        prune=settings.prune,
+        keep=settings.keep,
+        order=names_in_order(task.formula),
+        seed=seed,
+        deadline=deadline,
+    )
+
+
+def compile_task(config: TaskConfig, *, translator: Translator = "auto", seed: int = 0) -> CompiledTask:
+    """Translate the formula, decide how it accepts, and decompose its automaton.
+
+    Raises:
+        FormulaError, TranslationError: if the formula or the translator fails.
+        ConfigError: if nothing is left to learn, or compiling takes longer than ``decomposition.time_limit``.
+    """
+    deadline = Deadline.after(config.decomposition.time_limit)
+    formula = translate(config.formula, propositions=config.propositions, translator=translator, deadline=deadline)
+    dfa, acceptance = task_automaton(formula, config.acceptance, config.exclusive)
+    config = dataclasses.replace(config, acceptance=acceptance)
+    decomposition = decomposed(config, dfa, seed=seed, deadline=deadline)
+    if not decomposition.available(dfa.initial):
+        raise ConfigError(f"task {config.name!r}: no sub-task is available in the initial state; run `t4nmtd inspect`")
+    dist = distances(dfa, exclusive=config.exclusive, mode=config.decomposition.dist, deadline=deadline)
+    dfa.find_edges(deadline)
+    return CompiledTask(config, dfa, decomposition, dist, potentials(dfa, dist))

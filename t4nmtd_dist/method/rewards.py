@@ -1,0 +1,127 @@
+"""The product of environment and DFA: what a change of DFA state means for one sub-task.
+
+Everything here depends on (q, q') alone, so it is tabulated once and looked up for whole batches.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from t4nmtd_dist.automata.dfa import DFA
+from t4nmtd_dist.core.config import Shaping
+from t4nmtd_dist.core.errors import WorldError
+from t4nmtd_dist.method.decomposition import Decomposition
+
+ACCEPTANCE_REWARD = 100.0
+TARGET_REWARD = 10.0
+
+States = NDArray[np.int32]
+
+
+class LetterReader:
+    """Turns a world's label matrix into letters of the DFA.
+
+    Args:
+        dfa: whose propositions count.
+        propositions: the world's propositions, the columns of its label matrix.
+
+    Raises:
+        WorldError: if the world never reports a proposition of the formula.
+    """
+
+    def __init__(self, dfa: DFA, propositions: tuple[str, ...]) -> None:
+        missing = [name for name in dfa.propositions if name not in propositions]
+        if missing:
+            raise WorldError(
+                f"the formula uses {missing[0]!r}, which the environment does not report; "
+                f"it reports {', '.join(propositions)}"
+            )
+        self._bits = np.array([dfa.letter([name]) for name in propositions], dtype=np.int64)
+
+    def letters(self, labels: NDArray[np.bool_]) -> NDArray[np.int64]:
+        """Letters int64 [N] of a bool label matrix [N, P]."""
+        codes: NDArray[np.int64] = labels @ self._bits
+        return codes
+
+
+@dataclass(frozen=True)
+class SubtaskTables:
+    """All that a learner of sub-task ``pid`` must know about DFA states and their changes.
+
+    Attributes:
+        target: bool [Q, Q]; q' in Q_target(q, T).
+        available: bool [Q]; the sub-task has a transition out of q.
+        accepting: bool [Q], F.
+        error: bool [Q], E.
+        reward: float64 [Q, Q], the shaped reward of a step from q to q' (equal states included).
+        kept_potential: float64 [Q], what the reward of a step into q' holds of the potential of q'. A step on which
+            the environment ends has no later step to pay it back, so there it is taken off.
+    """
+
+    target: NDArray[np.bool_]
+    available: NDArray[np.bool_]
+    accepting: NDArray[np.bool_]
+    error: NDArray[np.bool_]
+    reward: NDArray[np.float64]
+    kept_potential: NDArray[np.float64]
+
+    @property
+    def terminal(self) -> NDArray[np.bool_]:
+        """Bool [Q]: F or E, where the critic's value is 0."""
+        return self.accepting | self.error
+
+
+def subtask_tables(
+    dfa: DFA,
+    decomposition: Decomposition,
+    pid: str,
+    rho: NDArray[np.float64],
+    *,
+    gamma: float,
+    shaping: Shaping,
+    error_penalty: float = 0.0,
+) -> SubtaskTables:
+    """Tabulate sub-task ``pid`` of a task (paper, Algorithm 2, lines 7 to 9)."""
+    target = np.zeros((dfa.states, dfa.states), dtype=np.bool_)
+    for q, q_next in decomposition.subtasks[pid]:
+        target[q, q_next] = True
+    accepting = _mask(dfa, dfa.accepting)
+    error = _mask(dfa, dfa.error)
+    reward = shaped_reward(target, accepting, error, rho, gamma=gamma, shaping=shaping)
+    reward -= error_penalty * (error[None, :] & ~error[:, None])
+    available: NDArray[np.bool_] = np.any(target, axis=1, keepdims=True)[:, 0]
+    kept = gamma * np.where(accepting | error, 0.0, rho) if shaping == "potential" else np.zeros(dfa.states)
+    return SubtaskTables(target, available, accepting, error, reward, kept)
+
+
+def _mask(dfa: DFA, states: frozenset[int]) -> NDArray[np.bool_]:
+    mask = np.zeros(dfa.states, dtype=np.bool_)
+    mask[list(states)] = True
+    return mask
+
+
+def shaped_reward(
+    target: NDArray[np.bool_],
+    accepting: NDArray[np.bool_],
+    error: NDArray[np.bool_],
+    rho: NDArray[np.float64],
+    *,
+    gamma: float,
+    shaping: Shaping,
+) -> NDArray[np.float64]:
+    """The reward of every pair (q, q'), float64 [Q, Q], before the learner's reward scale.
+
+    ``paper``: r + gamma rho(q') - rho(q) for q' in Q_target(q), else 0. ``potential``: that difference on every
+    step, with rho = 0 on F and E, plus r. ``subtask``: 10 for a target, 100 if it accepts.
+    """
+    accepts = np.broadcast_to(accepting[None, :], target.shape)
+    environment_reward = np.where(accepts & ~np.eye(len(rho), dtype=np.bool_), ACCEPTANCE_REWARD, 0.0)
+    if shaping == "subtask":
+        return np.where(target, np.where(accepts, ACCEPTANCE_REWARD, TARGET_REWARD), 0.0)
+    if shaping == "potential":
+        kept = np.where(accepting | error, 0.0, rho)
+        return environment_reward + gamma * kept[None, :] - kept[:, None]
+    return np.where(target, environment_reward + gamma * rho[None, :] - rho[:, None], 0.0)

@@ -1,0 +1,203 @@
+"""Evaluation of the global policy: greedy or sampled episodes from the true reset, neither training nor selecting."""
+
+from __future__ import annotations
+
+from collections.abc import Generator
+from dataclasses import dataclass
+from typing import TypeVar
+
+import gymnasium as gym
+import numpy as np
+from numpy.typing import NDArray
+
+from t4nmtd_dist.core.action_modes import ActionMode
+from t4nmtd_dist.core.errors import WorldError
+from t4nmtd_dist.core.state_dict import State
+from t4nmtd_dist.environments.batched import BatchedWorld, Observations
+from t4nmtd_dist.environments.timed import make_task_world
+from t4nmtd_dist.method.rewards import LetterReader
+from t4nmtd_dist.policy.global_policy import GlobalPolicy
+
+PERTURBATION_ROUNDS = 100
+
+Flags = NDArray[np.bool_]
+T = TypeVar("T")
+
+
+@dataclass(frozen=True)
+class EvaluationResult:
+    """Episodes of one evaluation.
+
+    Attributes:
+        success: bool [episodes], accepted within the horizon.
+        lengths: int [episodes], steps until acceptance, error, the environment's end, or the horizon.
+        returns: float [episodes], validation reward: the sum of rho(q') - rho(q) over steps with q' outside E.
+        dfa_path: DFA states of the first episode, in order.
+        redrawn: perturbed starts that ended the episode by themselves and were drawn again.
+    """
+
+    success: Flags
+    lengths: NDArray[np.int64]
+    returns: NDArray[np.float64]
+    dfa_path: list[int]
+    redrawn: int = 0
+
+    @property
+    def success_rate(self) -> float:
+        """Share of accepted episodes."""
+        return float(self.success.mean())
+
+
+class Evaluator:
+    """Runs episodes of a task's policies in worlds that it keeps open.
+
+    Args:
+        policy: any policy of the task (for its settings and automaton).
+        episodes: episodes per evaluation, all stepped together.
+        seed: of the environment's resets, of perturbations and of sampled actions.
+    """
+
+    def __init__(self, policy: GlobalPolicy, episodes: int, *, seed: int) -> None:
+        self._world: BatchedWorld = make_task_world(policy.config, episodes)
+        self._reader = LetterReader(policy.dfa, self._world.propositions)
+        self._horizon = policy.config.environment.horizon
+        self._rng = np.random.default_rng([seed, 3])
+        self._sampling = np.random.default_rng([seed, 4])
+        self._seeded = False
+
+    def run(self, policy: GlobalPolicy, *, perturb: int = 0, actions: ActionMode | None = None) -> EvaluationResult:
+        """One evaluation: every episode from the true reset with a fresh step counter.
+
+        Where the trace ends with the episode (docs/acceptance.md), the random actions of ``perturb`` count as steps:
+        the start states carry their time, so that these episodes end that much earlier.
+
+        Args:
+            policy: what acts.
+            perturb: each episode begins with k random actions, k uniform in 0..perturb. Actions that end the episode
+                by themselves are drawn again, and k too, so that where chance is deadly k is smaller on the whole.
+            actions: ``greedy`` or ``sampled``; None for the policy's own mode.
+
+        Raises:
+            PolicyError: if the policy learned from observations of another size than the world's.
+        """
+        return finished(self.steps(policy, perturb=perturb, actions=actions))
+
+    def steps(
+        self, policy: GlobalPolicy, *, perturb: int = 0, actions: ActionMode | None = None
+    ) -> Generator[None, None, EvaluationResult]:
+        """``run`` step by step, for a caller that has other things to do in between; returns the result."""
+        rows = np.arange(self._world.count)
+        if perturb:
+            observations, q, redrawn = self._perturbed_starts(policy, perturb)
+        else:
+            observations, q, redrawn = self._reset(), np.full(len(rows), policy.dfa.initial, np.int32), 0
+        sampling = self._sampling if (actions or policy.mode) == "sampled" else None
+        return (yield from self._episodes(policy, observations, q, redrawn, sampling))
+
+    def state(self) -> State:
+        """What decides the starts and the sampled actions of the next evaluations, for a checkpoint."""
+        world = self._world.state() if self._seeded else None
+        generators = {"rng": self._rng.bit_generator.state, "sampling": self._sampling.bit_generator.state}
+        return {**generators, "seeded": self._seeded, "world": world}
+
+    def load_state(self, state: State) -> None:
+        """Go on from a ``state`` of an evaluator of the same task with as many episodes."""
+        self._rng.bit_generator.state, self._seeded = state["rng"], state["seeded"]
+        if "sampling" in state:  # older checkpoints have none
+            self._sampling.bit_generator.state = state["sampling"]
+        if self._seeded:
+            self._world.load_state(state["world"])
+
+    def _reset(self) -> Observations:
+        seed = None if self._seeded else int(self._rng.integers(2**31))
+        self._seeded = True
+        return self._world.reset(np.arange(self._world.count), seed)
+
+    def _episodes(
+        self,
+        policy: GlobalPolicy,
+        observations: Observations,
+        q: NDArray[np.int32],
+        redrawn: int,
+        sampling: np.random.Generator | None,
+    ) -> Generator[None, None, EvaluationResult]:
+        policy.check_fits(observations)
+        count = len(q)
+        accepting, error = _masks(policy)
+        success, over = np.zeros(count, np.bool_), np.zeros(count, np.bool_)
+        lengths, returns = np.zeros(count, np.int64), np.zeros(count)
+        path = [int(q[0])]
+        for _ in range(self._horizon):
+            actions, known = policy.actions(observations, q, sampling)
+            over |= ~known
+            if over.all():
+                break
+            step = self._world.step(actions)
+            q_next = np.where(over, q, policy.dfa.delta[q, self._reader.letters(step.labels)]).astype(np.int32)
+            returns += np.where(error[q_next], 0.0, policy.rho[q_next] - policy.rho[q])
+            lengths += ~over
+            success |= accepting[q_next] & ~over
+            over = over | accepting[q_next] | error[q_next] | step.terminated | step.truncated
+            observations, q = step.observations, q_next
+            if path[-1] != q[0]:
+                path.append(int(q[0]))
+            yield
+        return EvaluationResult(success, lengths, returns, path, redrawn)
+
+    def _perturbed_starts(self, policy: GlobalPolicy, most: int) -> tuple[Observations, NDArray[np.int32], int]:
+        """Start states after random actions; starts that ended the episode by themselves are drawn again."""
+        rows = list(range(self._world.count))
+        snapshots: dict[int, tuple[NDArray[np.generic], int]] = {}
+        redrawn = 0
+        for _ in range(PERTURBATION_ROUNDS):
+            missing = [row for row in rows if row not in snapshots]
+            if not missing:
+                states = [snapshots[row][0] for row in rows]
+                q = np.array([snapshots[row][1] for row in rows], np.int32)
+                return self._world.restore(np.array(rows), states), q, redrawn
+            found = self._random_walks(policy, most)
+            snapshots.update({row: found[row] for row in missing if row in found})
+            redrawn += sum(row not in found for row in missing)
+        raise WorldError(f"{PERTURBATION_ROUNDS} rounds of {most} random actions each ended in error states")
+
+    def _random_walks(self, policy: GlobalPolicy, most: int) -> dict[int, tuple[NDArray[np.generic], int]]:
+        """A snapshot and DFA state after k random actions for every row that lived that long."""
+        count = self._world.count
+        accepting, error = _masks(policy)
+        self._reset()
+        q, alive = np.full(count, policy.dfa.initial, np.int32), np.ones(count, np.bool_)
+        k = self._rng.integers(most + 1, size=count)
+        found: dict[int, tuple[NDArray[np.generic], int]] = {}
+        for t in range(most + 1):
+            due = np.flatnonzero(alive & (k == t))
+            for row, state in zip(due, self._world.snapshot(due), strict=True):
+                found[int(row)] = (state, int(q[row]))
+            step = self._world.step(self._random_actions(count))
+            q = policy.dfa.delta[q, self._reader.letters(step.labels)]
+            alive &= ~(step.terminated | step.truncated | accepting[q] | error[q])
+        return found
+
+    def _random_actions(self, count: int) -> NDArray[np.generic]:
+        space = self._world.action_space
+        if isinstance(space, gym.spaces.Discrete):
+            return self._rng.integers(space.n, size=count)
+        if isinstance(space, gym.spaces.Box):
+            return self._rng.uniform(space.low, space.high, size=(count, *space.shape)).astype(np.float32)
+        raise WorldError(f"action space {space} is not supported; expected Discrete or Box")
+
+
+def finished(steps: Generator[None, None, T]) -> T:
+    """Run steps to their end; what they return."""
+    while True:
+        try:
+            next(steps)
+        except StopIteration as end:
+            result: T = end.value
+            return result
+
+
+def _masks(policy: GlobalPolicy) -> tuple[Flags, Flags]:
+    accepting, error = np.zeros(policy.dfa.states, np.bool_), np.zeros(policy.dfa.states, np.bool_)
+    accepting[list(policy.dfa.accepting)] = True
+    error[list(policy.dfa.error)] = True
+    return accepting, error

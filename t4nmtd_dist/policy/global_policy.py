@@ -1,0 +1,292 @@
+"""The global policy: at <s, q> follow the actor of arg max Q(q, .) (paper, section "Global policy").
+
+An exported policy is a folder: ``policy.json`` (format version, task, DFA, Q, spaces) and ``actors.safetensors``.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from t4nmtd_dist.agents.actors import Actions, make_actor
+from t4nmtd_dist.agents.common.networks import product_state
+from t4nmtd_dist.automata.acceptance import LAST
+from t4nmtd_dist.automata.dfa import DFA
+from t4nmtd_dist.core.action_modes import ActionMode, action_mode
+from t4nmtd_dist.core.config import TaskConfig, task_config
+from t4nmtd_dist.core.errors import ConfigError, PolicyError
+from t4nmtd_dist.environments.batched import Observations
+from t4nmtd_dist.environments.timed import remaining_share
+from t4nmtd_dist.method.decomposition import Decomposition
+from t4nmtd_dist.method.high_level import QEntries
+from t4nmtd_dist.policy.export import ACTORS_FILE, POLICY_FILE, POLICY_FORMAT, read_export
+from t4nmtd_dist.policy.one_thread import one_torch_thread
+
+FLATTEN = "flatten observations that are one-hot or a Dict by t4nmtd_dist.environments.observations.flattener"
+
+ActorWeights = Mapping[str, Mapping[str, NDArray[Any]]]
+
+
+class GlobalPolicy:
+    """Actors, one per sub-task, and which one acts in which DFA state.
+
+    Args:
+        config: the task.
+        dfa: its automaton.
+        decomposition: its sub-tasks.
+        q_table: known entries of Q(q, T).
+        actors: by pid, parameters named ``actor.*`` (others are ignored).
+        rho: potentials [Q], for the validation return.
+        mode: how ``act`` picks actions unless told otherwise: the most likely ones, or sampled ones.
+        seed: of sampled actions; None for one from the operating system.
+
+    Attributes:
+        mode: as above; an exported policy has the mode in which it was evaluated best.
+
+    Raises:
+        PolicyError: if the actors' parameters are missing or do not fit, or there is no such mode.
+    """
+
+    def __init__(
+        self,
+        config: TaskConfig,
+        dfa: DFA,
+        decomposition: Decomposition,
+        q_table: QEntries,
+        actors: ActorWeights,
+        rho: NDArray[np.float64],
+        *,
+        mode: str = "greedy",
+        seed: int | None = None,
+    ) -> None:
+        self.config, self.dfa, self.decomposition, self.q_table, self.rho = (
+            config,
+            dfa,
+            decomposition,
+            q_table,
+            rho,
+        )
+        self._actors = {pid: make_actor(config.learner, weights) for pid, weights in actors.items()}
+        self.subtask_of = self._choices()
+        self.mode: ActionMode = action_mode(mode)
+        self._rng = np.random.default_rng(seed)
+        self._q = dfa.initial
+        self._first = True
+        self._steps = 0
+
+    @property
+    def _timed(self) -> bool:
+        """Whether the trace ends with the episode, so that actors see the remaining time (docs/acceptance.md)."""
+        return LAST in self.dfa.propositions
+
+    def _choices(self) -> dict[int, str]:
+        """The greedy sub-task of every DFA state, among those that have an actor; ties by name."""
+        known = {(q, pid): value for q, pid, value in self.q_table}
+        chosen = {}
+        for q in range(self.dfa.states):
+            able = [pid for pid in self.decomposition.available(q) if pid in self._actors]
+            if able:
+                chosen[q] = max(able, key=lambda pid: known.get((q, pid), -np.inf))
+        return chosen
+
+    def actions(
+        self, observations: Observations, q: NDArray[np.int32], rng: np.random.Generator | None = None
+    ) -> tuple[Actions, NDArray[np.bool_]]:
+        """Actions at product states, and for which of them a sub-task has an actor. torch computes with one thread.
+
+        Args:
+            observations: float32 [N, d].
+            q: DFA states [N].
+            rng: samples the actions; without it they are greedy.
+
+        Returns:
+            int64 [N] or float32 [N, A], any valid action where there is no actor; bool [N].
+        """
+        with one_torch_thread():
+            return self._actions(observations, q, rng)
+
+    def _actions(
+        self, observations: Observations, q: NDArray[np.int32], rng: np.random.Generator | None
+    ) -> tuple[Actions, NDArray[np.bool_]]:
+        known = np.zeros(len(q), np.bool_)
+        actions: Actions | None = None
+        for state in np.unique(q):
+            pid = self.subtask_of.get(int(state))
+            if pid is None:
+                continue
+            rows = q == state
+            found = self._actors[pid].act(product_state(observations[rows], q[rows], self.dfa.states), rng)
+            if actions is None:
+                actions = np.zeros((len(q), *found.shape[1:]), found.dtype)
+            actions[rows], known[rows] = found, True
+        return (np.zeros(len(q), np.int64) if actions is None else actions), known
+
+    def reset(self, seed: int | None = None) -> None:
+        """Begin an episode: the DFA is in its initial state.
+
+        Args:
+            seed: of the actions sampled from now on; None lets the policy's generator draw on.
+        """
+        self._q, self._first, self._steps = self.dfa.initial, True, 0
+        if seed is not None:
+            self._rng = np.random.default_rng(seed)
+
+    @property
+    def state(self) -> int:
+        """The DFA state now."""
+        return self._q
+
+    def act(
+        self,
+        observation: NDArray[Any],
+        labels: Iterable[str],
+        *,
+        actions: ActionMode | None = None,
+        rng: np.random.Generator | None = None,
+    ) -> Any:
+        """The action at one observation, after reading the labels that came with it: a number, or an array [A].
+
+        The labels of the first observation after ``reset`` are not read: a trace begins with the first step.
+
+        Args:
+            observation: numbers, as the environment gives them: of a Box of any shape. Observations that are one-hot
+                or a Dict go through ``environments.observations.flattener`` first.
+            labels: names of the true propositions.
+            actions: ``greedy`` or ``sampled``; None for the policy's own mode.
+            rng: what sampled actions are drawn with; None for the policy's own generator.
+
+        Raises:
+            PolicyError: if the DFA is in a state for which nothing was learned, the observation is too long or too
+                short, or there is no such mode.
+        """
+        sampling = (self.mode if actions is None else action_mode(actions)) == "sampled"
+        if not self._first:
+            self._q = self._after(labels)
+            self._steps += 1
+        self._first = False
+        row = self._row(observation)
+        found, known = self.actions(row, np.array([self._q], np.int32), (rng or self._rng) if sampling else None)
+        if not known[0]:
+            raise PolicyError(
+                f"no action at DFA state {self._q}: it is {self._kind()}; call reset() to begin an episode"
+            )
+        return found[0]
+
+    def _kind(self) -> str:
+        """Of which kind the DFA state is, where there is no action."""
+        if self._q in self.dfa.accepting:
+            return "accepting"
+        return "an error state" if self._q in self.dfa.error else "one for which nothing was learned"
+
+    def accepts(self, labels: Iterable[str], *, ended: bool = False) -> bool:
+        """Whether the task is solved after the step that followed the last action.
+
+        Args:
+            labels: names of the propositions that are true after that step.
+            ended: whether the environment ended the episode on it; the horizon of the task counts by itself.
+        """
+        return self._after(labels, ended=ended) in self.dfa.accepting
+
+    def failed(self, labels: Iterable[str], *, ended: bool = False) -> bool:
+        """Whether the task can no longer be solved after the step that followed the last action.
+
+        Args:
+            labels: names of the propositions that are true after that step.
+            ended: as for ``accepts``.
+        """
+        return self._after(labels, ended=ended) in self.dfa.error
+
+    def _after(self, labels: Iterable[str], *, ended: bool = False) -> int:
+        """The DFA state after the step that followed the last action."""
+        ended = ended or self._steps + 1 >= self.config.environment.horizon
+        return self.dfa.step(self._q, [*labels, LAST] if ended else labels)
+
+    def _row(self, observation: NDArray[Any]) -> Observations:
+        try:
+            row = np.asarray(observation, np.float32).reshape(1, -1)
+        except (TypeError, ValueError) as error:
+            raise PolicyError(
+                f"an observation of type {type(observation).__name__} ({error}); expected numbers: {FLATTEN}"
+            ) from None
+        inputs = self._observation_size()
+        learned_from = None if inputs is None else inputs - self._timed
+        if learned_from not in (None, row.shape[1]):
+            raise PolicyError(
+                f"an observation of {row.shape[1]} numbers, where the policy learned from {learned_from}; {FLATTEN}"
+            )
+        if not self._timed:
+            return row
+        share = remaining_share(self._steps, self.config.environment.horizon)
+        return np.concatenate([row, share.reshape(1, 1)], axis=1)
+
+    def _observation_size(self) -> int | None:
+        """How many numbers its actors see besides the DFA state; None if it has no actor."""
+        return next((actor.inputs - self.dfa.states for actor in self._actors.values()), None)
+
+    def check_fits(self, observations: Observations) -> None:
+        """Look whether the actors learned from observations like these [N, d].
+
+        Raises:
+            PolicyError: if those were of another size.
+        """
+        learned_from = self._observation_size()
+        if learned_from not in (None, observations.shape[1]):
+            raise PolicyError(
+                f"the policy learned from observations of {learned_from} numbers, and those of "
+                f"{self.config.environment.id} have {observations.shape[1]}: train it again, or use the version of "
+                "the environment that it learned in"
+            )
+
+
+def load(path: str | Path, *, seed: int | None = None) -> GlobalPolicy:
+    """Load an exported policy, from its folder or from a run directory.
+
+    Args:
+        path: the folder or the run directory.
+        seed: of sampled actions; None for one from the operating system.
+
+    Raises:
+        PolicyError: if there is no policy, it is damaged, or of another format version.
+    """
+    folder, data, arrays = _read(Path(path))
+    found = data.get("format") if isinstance(data, dict) else None
+    if found != POLICY_FORMAT:
+        raise PolicyError(f"{folder}: policy format {found!r}; this program reads {POLICY_FORMAT}")
+    actors: dict[str, dict[str, NDArray[Any]]] = {}
+    for key, array in arrays.items():
+        pid, _, name = key.partition("/")
+        actors.setdefault(pid, {})[name] = array
+    try:
+        return _restored(data, actors, folder, seed)
+    except (ConfigError, LookupError, TypeError, ValueError) as error:
+        raise PolicyError(f"the policy in {folder} is damaged ({type(error).__name__}: {error})") from None
+
+
+def _restored(data: Mapping[str, Any], actors: ActorWeights, folder: Path, seed: int | None) -> GlobalPolicy:
+    return GlobalPolicy(
+        task_config(data["task"], source=str(folder)),
+        DFA.from_json(data["dfa"]),
+        Decomposition.from_json(data["decomposition"]),
+        [(q, pid, value) for q, pid, value in data["q_table"]],
+        actors,
+        np.array(data["rho"], np.float64).reshape(int(data["dfa"]["states"])),
+        mode=data.get("actions", "greedy"),
+        seed=seed,
+    )
+
+
+def _read(path: Path) -> tuple[Path, Any, dict[str, NDArray[Any]]]:
+    """The export in ``path`` or in ``policy`` below it."""
+    try:
+        return read_export(path, path / "policy")
+    except FileNotFoundError:
+        raise PolicyError(
+            f"no policy in {path}; expected {POLICY_FILE} and {ACTORS_FILE} there or in {path / 'policy'}, where a run "
+            "exports its best policy after its first evaluation"
+        ) from None
+    except (OSError, ValueError) as error:
+        raise PolicyError(f"cannot read the policy in {path}: {error}") from None

@@ -1,0 +1,207 @@
+"""Asking peers' processes for critic values (``intervention=query``)."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from t4nmtd_dist.agents.common.peer_values import InterventionCounts, PeerValues, Questions, Values, together
+from t4nmtd_dist.wire.auth.keys import ClientKeys
+from t4nmtd_dist.wire.codec import Envelope
+from t4nmtd_dist.wire.messages import Peer, ValueReply, ValueRequest
+from t4nmtd_dist.wire.peers.peer_connections import PeerClient, arrived
+from t4nmtd_dist.wire.sockets import Context, Socket
+
+ROWS_PER_REQUEST = 128
+GATHERINGS_PER_REQUEST = 8
+MISSES_UNTIL_PROBING = 3
+PROBE_EVERY_S = 0.5
+
+
+@dataclass
+class _Batch:
+    """A batch from its first question until it is gathered; later answers to it find it closed.
+
+    Attributes:
+        asked: rows asked for.
+        outstanding: of them, rows in requests without an answer.
+        answers: what came, with the peer it came from and the version that answered.
+    """
+
+    asked: int = 0
+    outstanding: int = 0
+    answers: list[tuple[PeerValues, str, int]] = field(default_factory=list)
+    closed: bool = False
+
+
+@dataclass(frozen=True)
+class _Part:
+    """The questions of one batch to one peer."""
+
+    batch: _Batch
+    questions: Questions
+
+
+@dataclass
+class _Line:
+    """The connection to one peer.
+
+    Attributes:
+        unsent: what the next request asks for.
+        waited: gatherings since the first of that was asked.
+        in_flight: what was asked, by number of the request.
+        misses: requests in a row whose batches were gathered before the answer came.
+        probe_at: while the peer is silent, when to ask again.
+    """
+
+    peer: Peer
+    socket: Socket
+    unsent: list[_Part] = field(default_factory=list)
+    waited: int = 0
+    in_flight: dict[int, list[_Part]] = field(default_factory=dict)
+    misses: int = 0
+    probe_at: float = 0.0
+
+    @property
+    def silent(self) -> bool:
+        """Whether it has left so much unanswered that it is no longer waited for."""
+        return self.misses >= MISSES_UNTIL_PROBING
+
+    def rows_of(self, batch: _Batch) -> int:
+        """Rows of ``batch`` that are unsent."""
+        return sum(len(part.questions) for part in self.unsent if part.batch is batch)
+
+    def is_due(self, gathered: _Batch) -> bool:
+        """Whether what is unsent cannot wait for more questions when ``gathered`` is."""
+        self.waited += 1
+        return self.waited >= GATHERINGS_PER_REQUEST or any(part.batch is gathered for part in self.unsent)
+
+
+class QueryPeers(PeerClient[_Line]):
+    """Peers in other processes: requests go out ahead of the training, answers are gathered when a batch is trained.
+
+    Neighbouring batches share a request: it goes out once one of them has ``ROWS_PER_REQUEST`` rows, after some
+    gatherings, and at the latest when one of its batches is gathered. A peer that is away, slow or unknown costs no
+    more than the patience of the gatherer: its rows are left unanswered, and the learner falls back to its own critic.
+    After three misses in a row a peer is not waited for any more, and asked but every half a second, until it answers.
+
+    Args:
+        context: the process's ZeroMQ context.
+        sender: the name that requests carry.
+        keys: this worker's own, if the coordinator has keys; each peer's public key comes with its address.
+        value_shape: shape of one answer: () for PPO, (2,) for SAC; any other counts as none.
+        clock: seconds that only grow.
+    """
+
+    def __init__(
+        self,
+        context: Context,
+        sender: str,
+        keys: ClientKeys | None = None,
+        value_shape: tuple[int, ...] = (),
+        clock: Callable[[], float] = time.monotonic,
+    ) -> None:
+        super().__init__(context, sender, keys, _Line, clock)
+        self._value_shape = value_shape
+        self._batches: dict[int, _Batch] = {}
+        self.counts = InterventionCounts()
+
+    def ask(self, batch: int, questions: Questions) -> None:
+        """See ``PeerCritics.ask``."""
+        self.counts.asked += len(questions)
+        opened = self._batches.setdefault(batch, _Batch())
+        opened.asked += len(questions)
+        for pid, part in questions.by_pid().items():
+            line = self._connections.lines.get(pid)
+            if line is None:
+                continue
+            line.unsent.append(_Part(opened, part))
+            if line.rows_of(opened) >= ROWS_PER_REQUEST:
+                self._request(pid, line)
+
+    def _request(self, pid: str, line: _Line) -> None:
+        parts, line.unsent, line.waited = [part for part in line.unsent if not part.batch.closed], [], 0
+        if not parts or (line.silent and self._clock() < line.probe_at):
+            return
+        line.probe_at = self._clock() + PROBE_EVERY_S
+        asked = together([part.questions for part in parts])[pid]
+        arrays = {"observation": asked.observations, "q": np.asarray(asked.q, np.int32)}
+        number = self._send(line, ValueRequest(pid=pid), arrays)
+        if number:
+            line.in_flight[number] = parts
+            for part in parts:
+                part.batch.outstanding += len(part.questions)
+
+    def gather(self, batch: int, patience_s: float = 0.0) -> PeerValues:
+        """See ``PeerCritics.gather``."""
+        gathered = self._batches.pop(batch, None) or _Batch()
+        for pid, line in self._connections.lines.items():
+            if line.unsent and line.is_due(gathered):
+                self._request(pid, line)
+        if not gathered.asked:
+            return PeerValues.joined([])
+        deadline = self._clock() + patience_s
+        for pid, line in self._connections.lines.items():
+            if line.in_flight:
+                self._drain(pid, line, gathered, deadline)
+        return self._close(gathered)
+
+    def _drain(self, pid: str, line: _Line, gathered: _Batch, deadline: float) -> None:
+        """Take what has come; wait for what ``gathered`` still lacks of this peer."""
+        while True:
+            lacking = any(part.batch is gathered for parts in line.in_flight.values() for part in parts)
+            patience_s = max(0.0, deadline - self._clock()) if lacking and not line.silent else 0.0
+            envelopes = list(arrived(line.socket, patience_s))
+            for envelope in envelopes:
+                self._take(pid, line, envelope)
+            if not envelopes:
+                return
+
+    def _take(self, pid: str, line: _Line, envelope: Envelope) -> None:
+        parts = line.in_flight.pop(envelope.id, None)
+        if parts is None:
+            line.misses = min(line.misses, MISSES_UNTIL_PROBING - 1)  # it answers again: give it another chance
+            return
+        line.misses = 0
+        rows = sum(len(part.questions) for part in parts)
+        values = self._values(envelope, rows)
+        version = envelope.message.version if isinstance(envelope.message, ValueReply) else 0
+        begin = 0
+        for part in parts:
+            end = begin + len(part.questions)
+            part.batch.outstanding -= len(part.questions)
+            if values is not None:
+                part.batch.answers.append((PeerValues(part.questions.rows, values[begin:end]), pid, version))
+            begin = end
+
+    def _values(self, envelope: Envelope, rows: int) -> Values | None:
+        """The values in an answer; None if it is none, or another than what was asked for."""
+        values = envelope.arrays.get("value")
+        if not isinstance(envelope.message, ValueReply) or values is None:
+            return None
+        right = values.shape == (rows, *self._value_shape) and values.dtype == np.float32
+        return values if right and np.isfinite(values).all() else None
+
+    def _close(self, gathered: _Batch) -> PeerValues:
+        gathered.closed = True
+        found = PeerValues.joined([answers for answers, _, _ in gathered.answers])
+        self.counts.answered += len(found.rows)
+        self.counts.late += gathered.outstanding
+        self.counts.own_used += gathered.asked - len(found.rows)
+        for answers, pid, version in gathered.answers:
+            line = self._connections.lines.get(pid)
+            if line is not None:
+                self.counts.lag_total += max(0, line.peer.version - version) * len(answers.rows)
+        if gathered.outstanding:
+            self._forget_missed()
+        return found
+
+    def _forget_missed(self) -> None:
+        for line in self._connections.lines.values():
+            missed = [n for n, parts in line.in_flight.items() if all(part.batch.closed for part in parts)]
+            for number in missed:
+                del line.in_flight[number]
+            line.misses += len(missed)

@@ -1,0 +1,156 @@
+"""Copies of the experience of peers in other processes, kept up to date (docs/decisions/016)."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from t4nmtd_dist.core.errors import ProtocolError
+from t4nmtd_dist.wire.auth.keys import ClientKeys
+from t4nmtd_dist.wire.codec import Envelope, without_prefix
+from t4nmtd_dist.wire.messages import ExperienceReply, ExperienceRequest, Peer
+from t4nmtd_dist.wire.peers.peer_connections import PeerClient, arrived
+from t4nmtd_dist.wire.rate_limited_log import Tell
+from t4nmtd_dist.wire.sockets import Context, Socket
+
+if TYPE_CHECKING:
+    from t4nmtd_dist.agents.common.replay_buffer import Experience
+
+ASK_EVERY_S = 0.25
+ASK_FOR_REST_AFTER_S = 0.12  # peers answer ten times a second
+ANSWER_WITHIN_S = 5.0
+AFTER_MISFIT_S = 60.0
+
+
+@dataclass
+class _Line:
+    """The connection to one peer.
+
+    Attributes:
+        origin: of the record that the steps are counted in; empty before the first answer.
+        step: number of the step that is asked for next.
+        stored: number of the step after the one stored last; -1 if over this connection none was.
+        request: number of the request without an answer; 0 for none.
+        ask_at: when to ask again.
+        misfit: whether an answer that does not fit was told of.
+    """
+
+    peer: Peer
+    socket: Socket
+    origin: str = ""
+    step: int = 0
+    stored: int = -1
+    request: int = 0
+    ask_at: float = 0.0
+    misfit: bool = False
+
+
+class PeerExperience(PeerClient[_Line]):
+    """Pulls what peers have lived through since the last time; never waits.
+
+    What is here of a peer that moves or goes away stays; a peer that is back, or has begun anew, tells everything
+    again.
+
+    Args:
+        context: the process's ZeroMQ context.
+        sender: the name that requests carry.
+        make: room for the experience of one peer.
+        letters: how many letters the DFA reads.
+        keys: this worker's own, if the coordinator has keys.
+        clock: seconds that only grow.
+        tell: called with a line about the first answer over a connection that does not fit.
+
+    Attributes:
+        copies: by pid, those of whom anything has come.
+    """
+
+    def __init__(
+        self,
+        context: Context,
+        sender: str,
+        make: Callable[[], Experience],
+        letters: int,
+        keys: ClientKeys | None = None,
+        clock: Callable[[], float] = time.monotonic,
+        tell: Tell = lambda text: None,
+    ) -> None:
+        super().__init__(context, sender, keys, _Line, clock)
+        self._make, self._letters, self._tell = make, letters, tell
+        self.copies: dict[str, Experience] = {}
+
+    def pull(self) -> None:
+        """Take what has come, and ask for more of those that are due: soon, where not all fitted into an answer."""
+        for pid, line in self._connections.lines.items():
+            for envelope in arrived(line.socket):
+                if envelope.id == line.request:
+                    line.request = 0
+                    self._take(pid, line, envelope)
+            if self._clock() >= line.ask_at:
+                self._ask(pid, line)
+
+    def _ask(self, pid: str, line: _Line) -> None:
+        line.request = self._send(line, ExperienceRequest(pid=pid, step=line.step))
+        line.ask_at = self._clock() + (ANSWER_WITHIN_S if line.request else ASK_EVERY_S)
+
+    def _take(self, pid: str, line: _Line, envelope: Envelope) -> None:
+        """Store an answer; one that does not fit is told of, and the peer not asked again for a minute."""
+        line.ask_at = self._clock() + ASK_EVERY_S
+        reply = envelope.message
+        if not isinstance(reply, ExperienceReply):
+            return
+        if reply.origin != line.origin:
+            asked_of_another = line.step > 0
+            line.origin, line.step, line.stored = reply.origin, 0, -1
+            if asked_of_another:
+                return
+        room = self.copies.get(pid)
+        if room is None:
+            room = self._make()
+        try:
+            columns = checked_columns(without_prefix("experience.", envelope.arrays), room, self._letters)
+        except ProtocolError as error:
+            if not line.misfit:
+                self._tell(f"dropping what {pid} at {line.peer.endpoint} tells of its experience: {error}")
+                line.misfit = True
+            line.ask_at = self._clock() + AFTER_MISFIT_S
+            return
+        steps = len(columns["letters"])
+        if steps:
+            room.extend(columns, follows=reply.first == line.stored)
+            self.copies[pid], line.stored = room, reply.first + steps
+        line.step = max(reply.first + steps, reply.written - room.steps)
+        if steps and line.step < reply.written:
+            line.ask_at = self._clock() + ASK_FOR_REST_AFTER_S
+
+
+def checked_columns(arrays: Mapping[str, NDArray[Any]], room: Experience, letters: int) -> dict[str, NDArray[Any]]:
+    """The columns of an answer.
+
+    Args:
+        arrays: of the message.
+        room: where they are to be stored.
+        letters: how many letters the DFA reads.
+
+    Raises:
+        ProtocolError: if a column is missing, of another shape or type than ``room`` has, not finite, or names a
+            letter that there is not.
+    """
+    _, expected = room.since(room.written, 1)
+    if set(arrays) != set(expected):
+        raise ProtocolError(f"experience has columns {sorted(arrays)}, expected {sorted(expected)}")
+    steps = len(arrays["letters"]) if arrays["letters"].ndim else 0
+    for name, like in expected.items():
+        array = arrays[name]
+        if array.shape != (steps, *like.shape[1:]) or array.dtype != like.dtype:
+            shape = (steps, *like.shape[1:])
+            raise ProtocolError(f"{name} is {array.dtype} {array.shape}, expected {like.dtype} {shape}")
+        if not np.isfinite(array).all():
+            raise ProtocolError(f"{name} is expected to be finite")
+    if steps and not (arrays["letters"].min() >= 0 and arrays["letters"].max() < letters):
+        raise ProtocolError(f"experience names a letter outside 0..{letters - 1}")
+    return dict(arrays)

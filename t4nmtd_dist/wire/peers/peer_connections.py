@@ -1,0 +1,114 @@
+"""Connections to peers in other processes, as the coordinator tells where they are."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import suppress
+from dataclasses import dataclass
+from typing import Generic, Protocol, TypeVar
+
+import zmq
+
+from t4nmtd_dist.core.errors import ConfigError, ProtocolError
+from t4nmtd_dist.wire.auth.keys import ClientKeys
+from t4nmtd_dist.wire.codec import Arrays, Envelope, decode
+from t4nmtd_dist.wire.messages import Message, Peer
+from t4nmtd_dist.wire.sockets import Context, Socket, connect, send
+
+HANDSHAKE_MS = 2000  # a peer that does not know of us yet stays silent; ask again then
+
+
+class HasPeer(Protocol):
+    """What a connection holds: the peer as the coordinator last told of it, and the socket."""
+
+    peer: Peer
+    socket: Socket
+
+
+LineT = TypeVar("LineT", bound=HasPeer)
+
+
+@dataclass
+class PeerLines(Generic[LineT]):
+    """One connection per peer.
+
+    Attributes:
+        context: the process's ZeroMQ context.
+        keys: this worker's own, if the coordinator has keys; each peer's public key comes with its address.
+        make: a line from a peer and the socket connected to it.
+    """
+
+    context: Context
+    keys: ClientKeys | None
+    make: Callable[[Peer, Socket], LineT]
+
+    def __post_init__(self) -> None:
+        self.lines: dict[str, LineT] = {}
+
+    def set_peers(self, peers: Mapping[str, Peer]) -> None:
+        """Where peers answer now; a peer that moved is connected to anew, one without a usable address is away."""
+        for pid in set(self.lines) - set(peers):
+            self.lines.pop(pid).socket.close(0)
+        for pid, peer in peers.items():
+            line = self.lines.get(pid)
+            if line is not None and (line.peer.endpoint, line.peer.key) == (peer.endpoint, peer.key):
+                line.peer = peer
+                continue
+            if line is not None:
+                self.lines.pop(pid).socket.close(0)
+            with suppress(ConfigError):
+                self.lines[pid] = self.make(peer, self._connect(peer))
+
+    def _connect(self, peer: Peer) -> Socket:
+        if self.keys is None:
+            return connect(self.context, peer.endpoint)
+        if not peer.key:
+            raise ConfigError("a peer without a key is not asked while this worker has keys")
+        return connect(self.context, peer.endpoint, self.keys.to(peer.key), handshake_ms=HANDSHAKE_MS)
+
+
+class PeerClient(Generic[LineT]):
+    """What all have in common that ask peers in other processes.
+
+    Args:
+        context: the process's ZeroMQ context.
+        sender: the name that requests carry.
+        keys: this worker's own, if the coordinator has keys; each peer's public key comes with its address.
+        make: a line from a peer and the socket connected to it.
+        clock: seconds that only grow.
+    """
+
+    def __init__(
+        self,
+        context: Context,
+        sender: str,
+        keys: ClientKeys | None,
+        make: Callable[[Peer, Socket], LineT],
+        clock: Callable[[], float],
+    ) -> None:
+        self._sender, self._clock = sender, clock
+        self._connections = PeerLines(context, keys, make)
+        self._next_id = 0
+
+    def set_peers(self, peers: Mapping[str, Peer]) -> None:
+        """Where peers answer now; a peer that moved is connected to anew."""
+        self._connections.set_peers(peers)
+
+    def close(self) -> None:
+        """Close all connections."""
+        self.set_peers({})
+
+    def _send(self, line: LineT, message: Message, arrays: Arrays | None = None) -> int:
+        """Send a request; its number, or 0 if it cannot be sent now."""
+        self._next_id += 1
+        sent = send(line.socket, Envelope(message, arrays or {}, self._sender, self._next_id))
+        return self._next_id if sent else 0
+
+
+def arrived(socket: Socket, patience_s: float = 0.0) -> Iterator[Envelope]:
+    """The readable messages waiting at a DEALER, after waiting up to ``patience_s`` for the first."""
+    patience_ms = int(patience_s * 1000)
+    while socket.poll(patience_ms):
+        patience_ms = 0
+        with suppress(ProtocolError, zmq.Again):
+            yield decode(socket.recv_multipart(flags=zmq.NOBLOCK))

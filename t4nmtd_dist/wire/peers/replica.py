@@ -1,0 +1,168 @@
+"""Copies of peers' networks, pulled by version and evaluated at home (``intervention=replica``)."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from t4nmtd_dist.agents.common.peer_values import InterventionCounts, PeerValues, Questions, together
+from t4nmtd_dist.core.errors import PolicyError, ProtocolError
+from t4nmtd_dist.wire.auth.keys import ClientKeys
+from t4nmtd_dist.wire.codec import without_prefix
+from t4nmtd_dist.wire.messages import Peer, WeightsReply, WeightsRequest
+from t4nmtd_dist.wire.peers.peer_connections import PeerClient, arrived
+from t4nmtd_dist.wire.sockets import Context, Socket
+
+if TYPE_CHECKING:
+    from t4nmtd_dist.agents.protocol import PublishedValues
+
+NO_VERSION = -1
+PULL_EVERY_S = 2.0
+FIRST_PULL_EVERY_S = 0.25
+
+
+@dataclass
+class _Line:
+    """The connection to one peer, and the copy of its networks.
+
+    Attributes:
+        copy: None until its weights have come.
+        version: of the copy.
+        epoch: the peer's lease under which the copy was pulled: under another one versions may count anew.
+        pull_at: when to ask for newer weights.
+    """
+
+    peer: Peer
+    socket: Socket
+    copy: PublishedValues | None = None
+    version: int = NO_VERSION
+    epoch: int = 0
+    pull_at: float = 0.0
+
+
+@dataclass
+class _Batch:
+    """A batch that has been asked for and not gathered.
+
+    Attributes:
+        asked: rows asked for.
+        waiting: questions not evaluated yet.
+        answers: what was evaluated, and the lag of its versions.
+    """
+
+    asked: int = 0
+    waiting: list[Questions] = field(default_factory=list)
+    answers: list[tuple[PeerValues, int]] = field(default_factory=list)
+
+
+class ReplicaPeers(PeerClient[_Line]):
+    """Peers in other processes whose networks are evaluated here.
+
+    A peer's weights are pulled only while somebody asks for its values, every two seconds at most, and only if the
+    coordinator knows of a newer version. All batches that have been asked for are evaluated in one call per peer, when
+    the first of them is gathered. Rows of a peer whose weights have not come yet fall back to the own critic. The copy
+    of a peer that moved is dropped.
+
+    Args:
+        context: the process's ZeroMQ context.
+        sender: the name that requests carry.
+        make: a network like the peers', to load their weights into.
+        keys: this worker's own, if the coordinator has keys.
+        clock: seconds that only grow.
+    """
+
+    def __init__(
+        self,
+        context: Context,
+        sender: str,
+        make: Callable[[], PublishedValues],
+        keys: ClientKeys | None = None,
+        clock: Callable[[], float] = time.monotonic,
+    ) -> None:
+        super().__init__(context, sender, keys, _Line, clock)
+        self._make = make
+        self._batches: dict[int, _Batch] = {}
+        self.counts = InterventionCounts()
+
+    def ask(self, batch: int, questions: Questions) -> None:
+        """See ``PeerCritics.ask``."""
+        self.counts.asked += len(questions)
+        opened = self._batches.setdefault(batch, _Batch())
+        opened.asked += len(questions)
+        opened.waiting.append(questions)
+        for pid in set(questions.pids):
+            line = self._connections.lines.get(pid)
+            if line is not None:
+                self._keep_fresh(pid, line)
+
+    def _keep_fresh(self, pid: str, line: _Line) -> None:
+        if self._clock() < line.pull_at:
+            return
+        known = line.version if line.epoch == line.peer.epoch else NO_VERSION
+        if line.copy is None or line.peer.version > known:
+            self._send(line, WeightsRequest(pid=pid, newer_than=known))
+        line.pull_at = self._clock() + (FIRST_PULL_EVERY_S if line.copy is None else PULL_EVERY_S)
+
+    def _take(self, line: _Line) -> None:
+        """Load what has come; weights that do not fit or are not finite count as none."""
+        for envelope in arrived(line.socket):
+            weights = without_prefix("weights.", envelope.arrays)
+            if not isinstance(envelope.message, WeightsReply) or not weights:
+                continue
+            copy = line.copy or self._make()
+            try:
+                copy.load(weights, envelope.message.version)
+            except (PolicyError, ProtocolError):
+                line.copy = None
+                continue
+            line.copy, line.version, line.epoch = copy, envelope.message.version, line.peer.epoch
+
+    def gather(self, batch: int, patience_s: float = 0.0) -> PeerValues:
+        """See ``PeerCritics.gather``; it waits for nothing, whatever the patience."""
+        gathered = self._batches.get(batch)
+        if gathered is None:
+            return PeerValues.joined([])
+        if gathered.waiting:
+            self._evaluate_all()
+        del self._batches[batch]
+        return self._close(gathered)
+
+    def _evaluate_all(self) -> None:
+        """Evaluate all questions that wait and whose peer's weights are there, in one call per peer."""
+        waiting: dict[str, list[tuple[_Batch, Questions]]] = {}
+        for batch in self._batches.values():
+            for pid, part in together(batch.waiting).items():
+                waiting.setdefault(pid, []).append((batch, part))
+            batch.waiting = []
+        for pid, parts in waiting.items():
+            line = self._connections.lines.get(pid)
+            if line is not None:
+                self._take(line)
+            if line is not None and line.copy is not None:
+                self._evaluate(pid, line, line.copy, parts)
+                continue
+            for batch, part in parts:
+                batch.waiting.append(part)
+
+    def _evaluate(self, pid: str, line: _Line, copy: PublishedValues, parts: list[tuple[_Batch, Questions]]) -> None:
+        asked = together([part for _, part in parts])[pid]
+        values, version = copy.values({"observation": asked.observations, "q": np.asarray(asked.q, np.int32)})
+        lag, begin, good = max(0, line.peer.version - version), 0, bool(np.isfinite(values).all())
+        for batch, part in parts:
+            end = begin + len(part)
+            if good:
+                batch.answers.append((PeerValues(part.rows, values[begin:end]), lag))
+            begin = end
+
+    def _close(self, gathered: _Batch) -> PeerValues:
+        found = PeerValues.joined([answers for answers, _ in gathered.answers])
+        self.counts.answered += len(found.rows)
+        self.counts.own_used += gathered.asked - len(found.rows)
+        self.counts.lag_total += sum(lag * len(answers.rows) for answers, lag in gathered.answers)
+        lines = self._connections.lines
+        self.counts.late += sum(pid in lines for each in gathered.waiting for pid in each.pids)
+        return found

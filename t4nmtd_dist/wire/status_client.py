@@ -1,0 +1,122 @@
+"""Asking a coordinator how it is, as anyone may who is let in."""
+
+from __future__ import annotations
+
+import time
+
+import zmq
+
+from t4nmtd_dist.core.errors import ProtocolError, RunError
+from t4nmtd_dist.wire.auth.handshake import HandshakeMonitor, Outcome, trouble
+from t4nmtd_dist.wire.auth.keys import ClientKeys
+from t4nmtd_dist.wire.codec import Envelope
+from t4nmtd_dist.wire.messages import Failure, Notice, Status, StatusRequest
+from t4nmtd_dist.wire.sockets import Context, connect, receive, send
+
+SENDER = "inquiry"
+POLL_S = 0.05
+
+
+class Inquiry:
+    """A connection to a coordinator's control socket, for questions.
+
+    Args:
+        context: the process's ZeroMQ context.
+        endpoint: of the coordinator.
+        keys: of a coordinator that has keys.
+
+    Raises:
+        ConfigError: if the endpoint cannot be connected to.
+    """
+
+    def __init__(self, context: Context, endpoint: str, keys: ClientKeys | None = None) -> None:
+        self._endpoint, self._keys = endpoint, keys
+        self._socket = connect(context, endpoint, keys, monitored=True)
+        self._handshakes = HandshakeMonitor(self._socket)
+        self._number = 0
+
+    def agree(self, timeout_s: float) -> Outcome | None:
+        """Wait for the connection: ``agreed``, why there is none, or None where nobody answers in time."""
+        deadline = time.monotonic() + timeout_s
+        last: Outcome | None = None
+        while (left := deadline - time.monotonic()) > 0:
+            outcome = self._handshakes.next(left)
+            if outcome in ("agreed", "refused", "mechanism"):
+                return outcome
+            last = outcome if outcome == "broken" else last
+        return last
+
+    def status(self, timeout_s: float) -> Status:
+        """Ask once the connection stands.
+
+        Raises:
+            ProtocolError: if the answer is not one of this protocol.
+            RunError: if no answer comes.
+        """
+        deadline = time.monotonic() + timeout_s
+        self._number += 1
+        question = Envelope(StatusRequest(), {}, SENDER, self._number)
+        if not self._socket.poll(int(timeout_s * 1000), zmq.POLLOUT) or not send(self._socket, question):
+            raise RunError(f"no connection to {self._endpoint} any more")
+        while (left := deadline - time.monotonic()) > 0:
+            envelope = receive(self._socket, left)
+            if envelope is None or envelope.id not in (0, self._number):
+                continue
+            if isinstance(envelope.message, Status):
+                return envelope.message
+            if isinstance(envelope.message, Failure):
+                raise ProtocolError(envelope.message.text)
+        raise RunError(f"{self._endpoint} accepted the question and did not answer within {timeout_s:.0f} s")
+
+    def tell(self, text: str, timeout_s: float) -> None:
+        """Give the coordinator a line or more for its event log; returns once it has taken them.
+
+        Raises:
+            ProtocolError: if it does not take them.
+            RunError: if no answer comes.
+        """
+        if not send(self._socket, Envelope(Notice(text=text), {}, SENDER)):
+            raise RunError(f"no connection to {self._endpoint} any more")
+        self.status(timeout_s)  # asked on the same connection, and so answered after the notice was read
+
+    def close(self) -> None:
+        """End the connection."""
+        self._handshakes.close()
+        self._socket.close(0)
+
+
+def give_notice(context: Context, endpoint: str, keys: ClientKeys | None, text: str, timeout_s: float) -> bool:
+    """Put a text into a coordinator's event log; whether it was taken in time.
+
+    Raises:
+        ConfigError: if the endpoint cannot be connected to.
+    """
+    inquiry = Inquiry(context, endpoint, keys)
+    try:
+        if inquiry.agree(timeout_s) != "agreed":
+            return False
+        inquiry.tell(text, timeout_s)
+    except (RunError, ProtocolError):
+        return False
+    finally:
+        inquiry.close()
+    return True
+
+
+def ask_status(context: Context, endpoint: str, keys: ClientKeys | None, timeout_s: float) -> Status:
+    """The status of the coordinator at an endpoint.
+
+    Raises:
+        ConfigError: if the endpoint cannot be connected to.
+        ProtocolError: if the answer is not one of this protocol.
+        RunError: if there is no answer; the text says why, as far as it is known.
+    """
+    inquiry = Inquiry(context, endpoint, keys)
+    try:
+        outcome = inquiry.agree(timeout_s)
+        if outcome == "agreed":
+            return inquiry.status(timeout_s)
+        silence = f"no coordinator answered at {endpoint} within {timeout_s:.0f} s; `t4nmtd doctor` finds out why"
+        raise RunError(trouble(outcome, endpoint, keys) or silence)
+    finally:
+        inquiry.close()

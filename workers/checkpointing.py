@@ -1,0 +1,98 @@
+"""When what learners hold goes to disk, and how a learner goes on from there."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Iterable, Mapping
+from contextlib import suppress
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from numpy.typing import NDArray
+
+from t4nmtd_dist.core.errors import PolicyError, RunError
+from t4nmtd_dist.core.state_dict import State, copied
+from t4nmtd_dist.runs.background import BackgroundWriter
+from t4nmtd_dist.runs.checkpoints import Warn, delete_checkpoints, newest_checkpoint
+from t4nmtd_dist.runs.resuming import checkpoint_folder, read_identity
+from t4nmtd_dist.wire.messages import Granted
+
+if TYPE_CHECKING:
+    from workers.learner_session import LearnerSession
+
+
+class SessionKeeper:
+    """Checkpoints of the learners of one worker.
+
+    Args:
+        checkpoints: ``checkpoints/`` of a run directory, which holds a folder for every sub-task; or any other folder,
+            which holds a folder for every run, so that runs do not delete what others need.
+        every_s: seconds between two checkpoints of a learner.
+        say: called with a line about every checkpoint, from another thread, too.
+    """
+
+    def __init__(self, checkpoints: Path, every_s: float, say: Warn) -> None:
+        self._checkpoints, self._every_s, self._say = checkpoints, every_s, say
+        self._writer = BackgroundWriter(say)
+        self._due: dict[str, float] = {}
+
+    def go_on(self, session: LearnerSession, granted: Granted, arrays: Mapping[str, NDArray[Any]]) -> None:
+        """Let a fresh session go on from the newest checkpoint of its sub-task in this run, if there is one."""
+        self._due[session.pid] = time.monotonic() + self._every_s
+        wanted = (granted.run_id, granted.pid)
+        folder = self._folder(session)
+        found = newest_checkpoint(folder, lambda about: (about["run_id"], about["place"]) == wanted, self._say)
+        if found is None:
+            if session.learner.version:
+                self._say(f"{granted.pid}: no checkpoint of it in {folder}; its weights go on, with an empty replay")
+            return
+        try:
+            session.go_on_from(found.state, granted, arrays)
+        except (RunError, PolicyError, KeyError, TypeError, ValueError) as error:
+            raise RunError(f"cannot go on from {found.path}: {error}; delete it to learn without it") from error
+        self._say(f"{granted.pid} goes on from {found.path} with {len(session.buffer)} start states")
+
+    def turn(self, sessions: Iterable[LearnerSession]) -> None:
+        """Begin to write the checkpoint that is due, if any; the work goes on meanwhile."""
+        if self._writer.busy:
+            return
+        now = time.monotonic()
+        for session in sessions:
+            if now >= self._due.get(session.pid, now):
+                self._due[session.pid] = now + self._every_s
+                self._writer.begin(self._folder(session), _about(session), copied(session.state()))
+                return
+
+    def finish(self, sessions: Iterable[LearnerSession]) -> None:
+        """Write the last checkpoint of every learner, and wait for it."""
+        self._writer.wait()
+        for session in sessions:
+            self._writer.write(self._folder(session), _about(session), session.state())
+
+    def delete(self, sessions: Iterable[LearnerSession]) -> None:
+        """Delete the checkpoints of learners: a solved run needs them no more."""
+        self._writer.wait()
+        for session in sessions:
+            delete_checkpoints(self._folder(session))
+            if not self._is_of_run(session.run_id):
+                with suppress(OSError):  # others may have theirs there
+                    (self._checkpoints / session.run_id).rmdir()
+
+    def _folder(self, session: LearnerSession) -> Path:
+        own = self._is_of_run(session.run_id)
+        return checkpoint_folder(self._checkpoints if own else self._checkpoints / session.run_id, session.pid)
+
+    def _is_of_run(self, run_id: str) -> bool:
+        identity = read_identity(self._checkpoints)
+        return identity is not None and identity.run_id == run_id
+
+
+def _about(session: LearnerSession) -> State:
+    learner = session.learner
+    return {
+        "run_id": session.run_id,
+        "place": session.pid,
+        "epoch": session.epoch,
+        "version": learner.version,
+        "interactions": learner.attempts.interactions,
+    }

@@ -1,0 +1,105 @@
+"""The peers of a worker's learners: those in this process directly, all others over the wire."""
+
+from __future__ import annotations
+
+from collections import ChainMap
+from functools import partial
+from typing import TYPE_CHECKING
+
+from t4nmtd_dist.agents.common.peer_values import CriticValues, LocalPeers, MixedPeers, NoPeers, PeerCritics
+from t4nmtd_dist.wire.auth.keys import ClientKeys
+from t4nmtd_dist.wire.peers.critic_client import QueryPeers
+from t4nmtd_dist.wire.peers.experience_client import PeerExperience
+from t4nmtd_dist.wire.peers.replica import ReplicaPeers
+from t4nmtd_dist.wire.rate_limited_log import Tell
+from t4nmtd_dist.wire.sockets import Context
+
+if TYPE_CHECKING:
+    from t4nmtd_dist.agents.common.replay_buffer import Experience
+    from workers.learner_session import LearnerSession
+
+
+class Neighbours:
+    """Whom the learners of a worker ask for values, and from whose experience they learn.
+
+    Args:
+        context: the process's ZeroMQ context.
+        instance: the worker's name.
+        keys: this worker's own, if the coordinator has keys.
+        tell: called with a line about trouble.
+
+    Attributes:
+        peers: by pid of the own learners, whom each asks.
+        experience: what was pulled from other processes; None before there is a learner that wants it.
+    """
+
+    def __init__(
+        self, context: Context, instance: str, keys: ClientKeys | None, tell: Tell = lambda text: None
+    ) -> None:
+        self._context, self._instance, self._keys, self._tell = context, instance, keys, tell
+        self._critics: dict[str, CriticValues] = {}
+        self._lived: dict[str, Experience] = {}
+        self._remote: dict[str, QueryPeers | ReplicaPeers] = {}
+        self.peers: dict[str, PeerCritics] = {}
+        self.experience: PeerExperience | None = None
+
+    def join(self, session: LearnerSession) -> None:
+        """A learner begins to work here."""
+        self._critics[session.pid] = session.learner.critic_values
+        self.peers[session.pid] = self._peers_of(session)
+        self._share_experience(session)
+
+    def _peers_of(self, session: LearnerSession) -> PeerCritics:
+        """Peers in this process are evaluated directly, whatever the way to the others."""
+        if session.intervention == "off":
+            return NoPeers()
+        near = LocalPeers(self._critics)
+        if session.intervention == "local":
+            return near
+        remote = self._remote[session.pid] = self._remote_peers(session)
+        return MixedPeers(self._critics, near, remote)
+
+    def _remote_peers(self, session: LearnerSession) -> QueryPeers | ReplicaPeers:
+        learner, sender = session.learner, f"{self._instance}/{session.pid}"
+        if session.intervention == "replica":
+            return ReplicaPeers(self._context, sender, learner.replica, self._keys)
+        return QueryPeers(self._context, sender, self._keys, learner.value_shape)
+
+    def _share_experience(self, session: LearnerSession) -> None:
+        """Let it learn from all that the others have lived through, here and elsewhere."""
+        learner = session.learner
+        if learner.experience is None or not learner.peer_steps:
+            return
+        self._lived[session.pid] = learner.experience
+        if self.experience is None:
+            make, sender = partial(learner.experience.alike, learner.peer_steps), f"{self._instance}/experience"
+            self.experience = PeerExperience(self._context, sender, make, session.letters, self._keys, tell=self._tell)
+        learner.learn_from(ChainMap(self._lived, self.experience.copies))
+
+    def locate(self, session: LearnerSession) -> None:
+        """The coordinator has told where the peers of a learner are."""
+        elsewhere = {pid: peer for pid, peer in session.peers.items() if pid not in self._critics}
+        for asker in (self._remote.get(session.pid), self.experience):
+            if asker is not None:
+                asker.set_peers(elsewhere)
+
+    def pull_experience(self) -> None:
+        """Take what peers elsewhere have lived through; never waits."""
+        if self.experience is not None:
+            self.experience.pull()
+
+    def leave(self, pid: str) -> None:
+        """A learner's work here is over."""
+        for table in (self._critics, self._lived, self.peers):
+            table.pop(pid, None)
+        remote = self._remote.pop(pid, None)
+        if remote is not None:
+            remote.close()
+        if not self._lived and self.experience is not None:
+            self.experience.close()
+            self.experience = None
+
+    def close(self) -> None:
+        """Close all connections."""
+        for pid in list(self._critics):
+            self.leave(pid)
