@@ -1,4 +1,4 @@
-"""Steps per second of the four worlds on one core, against their peers in the same run.
+"""Steps per second of the four environments on one core, against their peers in the same run.
 
 Peers: pyRDDLGym's simulation of the IPPC 2023 RaceCar (its first instance) and gymnasium's HalfCheetah-v5, both
 without wrappers, like ours. All take random actions and are reset at the end of their horizon within the measured
@@ -40,20 +40,20 @@ GYMNASIUM = "gymnasium HalfCheetah-v5, single"
 PEERS = {WATER: None, CAR: RDDL, CHEETAH: GYMNASIUM, CHEETAH_SNAPSHOTS: GYMNASIUM, LAKE: None}
 
 
-def single(world: Any, steps: int, horizon: int, snapshots: bool = False) -> Run:
-    """Random steps of one world, reset every ``horizon``."""
-    space = world.action_space
+def single(env: Any, steps: int, horizon: int, snapshots: bool = False) -> Run:
+    """Random steps of one environment, reset every ``horizon``."""
+    space = env.action_space
     actions = np.random.default_rng(0).uniform(space.low, space.high, (steps, *space.shape))
     actions = actions.astype(np.float32)
-    world.reset(seed=0)
+    env.reset(seed=0)
 
     def run() -> int:
         for number, action in enumerate(actions):
-            world.step(action)
+            env.step(action)
             if snapshots:
-                world.get_state()
+                env.get_state()
             if number % horizon == horizon - 1:
-                world.reset()
+                env.reset()
         return steps
 
     return run
@@ -82,15 +82,15 @@ def rddl_racecar(steps: int) -> Run | None:
     except ImportError:
         return None
     with contextlib.redirect_stdout(None):
-        world = pyRDDLGym.make("RaceCar_ippc2023", "1")
+        env = pyRDDLGym.make("RaceCar_ippc2023", "1")
     forces = np.random.default_rng(0).uniform(-1, 1, (steps, 2)).tolist()
-    world.reset(seed=0)
+    env.reset(seed=0)
 
     def run() -> int:
         for fx, fy in forces:
-            _, _, terminated, truncated, _ = world.step({"fx": fx, "fy": fy})
+            _, _, terminated, truncated, _ = env.step({"fx": fx, "fy": fy})
             if terminated or truncated:
-                world.reset()
+                env.reset()
         return steps
 
     return run
@@ -102,10 +102,10 @@ def gymnasium_cheetah(steps: int) -> Run | None:
     with tempfile.TemporaryDirectory() as folder, contextlib.chdir(folder), warnings.catch_warnings():
         warnings.simplefilter("ignore")
         try:
-            world = gymnasium.make("HalfCheetah-v5", exclude_current_positions_from_observation=False)
+            env = gymnasium.make("HalfCheetah-v5", exclude_current_positions_from_observation=False)
         except ImportError:
             return None
-    return single(world.unwrapped, steps, 1000)
+    return single(env.unwrapped, steps, 1000)
 
 
 def rows() -> dict[str, Run]:
@@ -125,8 +125,8 @@ def rows() -> dict[str, Run]:
     return {name: run for name, run in made.items() if run is not None}
 
 
-def our(world: str) -> Any:
-    return gymnasium.make(f"t4nmtd/{world}-v0").unwrapped
+def our(env: str) -> Any:
+    return gymnasium.make(f"t4nmtd/{env}-v0").unwrapped
 
 
 def measure(runs: dict[str, Run], repeats: int) -> list[dict[str, float]]:

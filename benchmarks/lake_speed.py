@@ -37,14 +37,14 @@ def our_batch(observation: str) -> Callable[[], int]:
     return run
 
 
-def single(world: gymnasium.Env, actions: int) -> Callable[[], int]:
+def single(env: gymnasium.Env, actions: int) -> Callable[[], int]:
     numbers = np.random.default_rng(0).integers(0, actions, STEPS).tolist()
-    world.reset(seed=0)
+    env.reset(seed=0)
 
     def run() -> int:
         for number in numbers:
-            if world.step(number)[2]:
-                world.reset()
+            if env.step(number)[2]:
+                env.reset()
         return STEPS
 
     return run

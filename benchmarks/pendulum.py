@@ -8,7 +8,7 @@ bootstrap. Ours is what every learner is made of, ``SACUpdater`` and ``Experienc
 no exploration by waves, no DFA (one with a single state), Pendulum's own dense reward beside the replay.
 
 Every return is the mean of 20 deterministic episodes, from the same starts for all. The two train in turns, so that a
-busy machine slows both alike; updates/s count all that an update takes (acting, the world's step, sampling, the
+busy machine slows both alike; updates/s count all that an update takes (acting, the environment's step, sampling, the
 gradient step) by processor time.
 
 Ours counts as at least as good if its mean over the seeds is no more than one standard error of the difference below
@@ -70,24 +70,24 @@ class Agent(Protocol):
         """Go on training for some interactions."""
 
     def actions(self, observations: Floats) -> Floats:
-        """Deterministic actions [N, A] in the world's units for observations [N, d]."""
+        """Deterministic actions [N, A] in the environment's units for observations [N, d]."""
 
 
 class Ours:
     """Our update and replay, and a loop around them.
 
     Args:
-        seed: of world, networks and sampling.
+        seed: of environment, networks and sampling.
         interactions: how many there will be; all are kept.
         settings: of the update.
     """
 
     def __init__(self, seed: int, interactions: int, settings: SACSettings = SETTINGS) -> None:
-        self._world = gymnasium.make(WORLD)
-        space = self._world.action_space
+        self._env = gymnasium.make(WORLD)
+        space = self._env.action_space
         assert isinstance(space, gymnasium.spaces.Box)
         self._low, self._high = space.low, space.high
-        self._observation: Floats = self._world.reset(seed=seed)[0]
+        self._observation: Floats = self._env.reset(seed=seed)[0]
         observation_size, action_size = len(self._observation), len(space.low)
         self.experience = Experience(interactions, 1, observation_size, action_size)
         self._rewards = np.zeros(interactions, np.float32)  # the replay's come from a DFA
@@ -114,13 +114,13 @@ class Ours:
             action = self._rng.uniform(-1, 1, (1, len(self._low))).astype(np.float32)
         else:
             action = self._updater.act(before, deterministic=False)
-        after, reward, terminated, truncated, _ = self._world.step(scaled(action, self._low, self._high)[0])
+        after, reward, terminated, truncated, _ = self._env.step(scaled(action, self._low, self._high)[0])
         over = terminated or truncated
-        q = letters = np.zeros(1, np.int64)
+        q = symbols = np.zeros(1, np.int64)
         ended, fell = np.array([over]), np.array([terminated])
-        self.experience.add(before, q.astype(np.int32), action, letters, after[None], fell, ended, NO)
+        self.experience.add(before, q.astype(np.int32), action, symbols, after[None], fell, ended, NO)
         self._rewards[number] = reward
-        self._observation = self._world.reset()[0] if over else after
+        self._observation = self._env.reset()[0] if over else after
 
     def _draw(self) -> SACBatch:
         experience = self.experience
@@ -167,7 +167,7 @@ class Theirs:
         return int(self._sac._n_updates)
 
     def train(self, interactions: int) -> None:
-        """See ``Agent``; the first call resets the world, later ones go on where the last one stopped."""
+        """See ``Agent``; the first call resets the environment, later ones go on where the last one stopped."""
         self._sac.learn(interactions, reset_num_timesteps=False, log_interval=None)  # type: ignore[arg-type]
 
     def actions(self, observations: Floats) -> Floats:
@@ -186,11 +186,11 @@ AGENTS: Mapping[str, Callable[[int, int], Agent]] = {
 
 def mean_return(agent: Agent, episodes: int = EPISODES) -> float:
     """Mean return of deterministic episodes, always from the same starts; all end by time-out in the same step."""
-    worlds = [gymnasium.make(WORLD) for _ in range(episodes)]
-    starts = [world.reset(seed=FIRST_EVALUATION_SEED + i)[0] for i, world in enumerate(worlds)]
+    num_envs = [gymnasium.make(WORLD) for _ in range(episodes)]
+    starts = [env.reset(seed=FIRST_EVALUATION_SEED + i)[0] for i, env in enumerate(num_envs)]
     observations, total, over = np.array(starts, np.float32), 0.0, False
     while not over:
-        steps = [world.step(action) for world, action in zip(worlds, agent.actions(observations), strict=True)]
+        steps = [env.step(action) for env, action in zip(num_envs, agent.actions(observations), strict=True)]
         observations = np.array([step[0] for step in steps], np.float32)
         total += sum(float(step[1]) for step in steps)
         over = steps[0][3]

@@ -43,7 +43,7 @@ from t4nmtd_dist.method.rewards import subtask_tables
 from t4nmtd_dist.tasks import load_task
 
 OBSERVATION, ACTIONS, HIDDEN, BATCH = 76, 2, (256, 256), 256
-TASK, PID = "task6", "g1"  # its automaton is read, its world is not opened
+TASK, PID = "task6", "g1"  # its automaton is read, its environment is not opened
 STORED, WORLDS, ATTEMPT, CHANGES, SUCCESS = 20_000, 4, 50, 0.05, 0.5
 PEAK_SIDE = 256
 
@@ -92,7 +92,7 @@ class Sampling:
 
     def _filled(self, task: CompiledTask, readable: NDArray[np.intp]) -> Experience:
         """Observations are as wide as leaves 76 for the networks; every 50th step ends an attempt, half succeed."""
-        rng, width, letters = self._rng, OBSERVATION - task.dfa.states, task.dfa.delta.shape[1]
+        rng, width, symbols = self._rng, OBSERVATION - task.dfa.states, task.dfa.delta.shape[1]
         experience = Experience(STORED // WORLDS, WORLDS, width, ACTIONS)
         for step in range(STORED // WORLDS):
             ended = np.full(WORLDS, step % ATTEMPT == ATTEMPT - 1)
@@ -100,7 +100,7 @@ class Sampling:
                 rng.standard_normal((WORLDS, width), np.float32),
                 rng.choice(readable, WORLDS).astype(np.int32),
                 rng.uniform(-1, 1, (WORLDS, ACTIONS)).astype(np.float32),
-                np.where(rng.random(WORLDS) < CHANGES, rng.integers(letters, size=WORLDS), 0),
+                np.where(rng.random(WORLDS) < CHANGES, rng.integers(symbols, size=WORLDS), 0),
                 rng.standard_normal((WORLDS, width), np.float32),
                 np.zeros(WORLDS, np.bool_),
                 ended,

@@ -42,7 +42,7 @@ class EvaluatedPolicy:
     snapshot: PolicySnapshot
     row: EvaluationRow
 
-    def state(self) -> State:
+    def state_dict(self) -> State:
         """Everything, for a checkpoint; the weights are the very arrays that are held."""
         snapshot = {each.name: getattr(self.snapshot, each.name) for each in fields(self.snapshot)}
         return {"snapshot": snapshot, "row": msgspec.to_builtins(self.row)}
@@ -74,11 +74,11 @@ class EvaluationSchedule:
     _handed_versions: dict[str, int] = field(default_factory=dict)
     _row_from: int = 0
 
-    def state(self) -> State:
+    def state_dict(self) -> State:
         """Everything but an evaluation that is under way, which nobody will report after a resume."""
         return {
             "history": msgspec.to_builtins(self.history),
-            "best": None if self.best is None else self.best.state(),
+            "best": None if self.best is None else self.best.state_dict(),
             "processor_s": self.processor_s,
             "jobs": self._jobs,
             "handed_at": self._handed_at,
@@ -86,7 +86,7 @@ class EvaluationSchedule:
             "row_from": self._row_from,
         }
 
-    def load_state(self, state: State) -> None:
+    def load_state_dict(self, state: State) -> None:
         """Go on from a ``state``."""
         self.history = msgspec.convert(state["history"], list[EvaluationRow])
         self.pending, best = None, state.get("best")

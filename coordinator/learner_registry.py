@@ -81,10 +81,10 @@ class LearnerRecord:
             intervention=add_interventions(a.intervention, b.intervention),
         )
 
-    def state(self) -> State:
+    def state_dict(self) -> State:
         """Everything, for a checkpoint; the weights are the very arrays that are held."""
         return {
-            "buffer": self.buffer.state(),
+            "buffer": self.buffer.state_dict(),
             "sequence": self.sequence,
             "earlier": msgspec.to_builtins(self.earlier),
             "current": msgspec.to_builtins(self.current),
@@ -92,9 +92,9 @@ class LearnerRecord:
             "weights": dict(self.weights),
         }
 
-    def load_state(self, state: State) -> None:
+    def load_state_dict(self, state: State) -> None:
         """Go on from a ``state``."""
-        self.buffer.load_state(state["buffer"])
+        self.buffer.load_state_dict(state["buffer"])
         self.earlier = msgspec.convert(state["earlier"], LearnerStats)
         self.current = msgspec.convert(state["current"], LearnerStats)
         self.sequence, self.version, self.weights = state["sequence"], state["version"], state["weights"]

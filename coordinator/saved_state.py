@@ -17,8 +17,8 @@ def saved_state(state: CoordinatorState) -> State:
     return {
         "high_level": state.high_level.entries(),
         "rng": state.rng.bit_generator.state,
-        "records": {pid: record.state() for pid, record in state.records.items()},
-        "evaluations": state.evaluations.state(),
+        "records": {pid: record.state_dict() for pid, record in state.records.items()},
+        "evaluations": state.evaluations.state_dict(),
         "events": msgspec.to_builtins(list(state.events)),
         "snapshot": state.snapshot,
         "solved": state.outcome == "solved",
@@ -31,8 +31,8 @@ def load_saved_state(state: CoordinatorState, saved: State) -> None:
     state.high_level.load((q, pid, value) for q, pid, value in saved["high_level"])
     state.rng.bit_generator.state = saved["rng"]
     for pid, record in state.records.items():
-        record.load_state(saved["records"][pid])
-    state.evaluations.load_state(saved["evaluations"])
+        record.load_state_dict(saved["records"][pid])
+    state.evaluations.load_state_dict(saved["evaluations"])
     state.events.extend(msgspec.convert(saved["events"], list[EventLine]))
     state.snapshot = saved["snapshot"]
     _raise_clock(state, saved["counts"])

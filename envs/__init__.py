@@ -1,19 +1,19 @@
-"""The worlds: Gymnasium environments that report true propositions and can be put into any earlier state.
+"""The environments: Gymnasium environments that report true propositions and can be put into any earlier state.
 
-Importing this package registers them, so either of these makes a world::
+Importing this package registers them, so either of these makes an environment::
 
     import envs; gymnasium.make("t4nmtd/FrozenLake-v0", goals=1)
     gymnasium.make_vec("envs:t4nmtd/FrozenLake-v0", num_envs=64, goals=1)
 
 Gymnasium 1.0 and later load no plugin entry points: an id without ``envs:`` needs the import first. The
-contract that every world keeps is in ``envs.protocol``.
+contract that every environment keeps is in ``envs.protocol``.
 """
 
 from __future__ import annotations
 
 from gymnasium.envs.registration import register, registry
 
-# id: (single world, batched world or None), as strings, so that physics engines are imported when a world is
+# id: (single environment, batched environment or None), as strings: physics engines are imported when an environment is
 # made.
 _ENTRY_POINTS = {
     "t4nmtd/FrozenLake-v0": ("envs.frozenlake:FrozenLakeEnv", "envs.frozenlake_batch:FrozenLakeVectorEnv"),
@@ -24,13 +24,13 @@ _ENTRY_POINTS = {
 
 
 def register_environments() -> None:
-    """Register every world with gymnasium; a second call changes nothing.
+    """Register every environment with gymnasium; a second call changes nothing.
 
-    No world has a step limit: time limits belong to the learner and to the evaluation.
+    No environment has a step limit: time limits belong to the learner and to the evaluation.
     """
-    for world, (entry_point, vector_entry_point) in _ENTRY_POINTS.items():
-        if world not in registry:
-            register(id=world, entry_point=entry_point, vector_entry_point=vector_entry_point)
+    for env, (entry_point, vector_entry_point) in _ENTRY_POINTS.items():
+        if env not in registry:
+            register(id=env, entry_point=entry_point, vector_entry_point=vector_entry_point)
 
 
 register_environments()

@@ -1,4 +1,4 @@
-"""The check of actions from a symmetric box, for the worlds with continuous actions."""
+"""The check of actions from a symmetric box, for the environments with continuous actions."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ def checked_box_actions(
     What lies outside by rounding alone (a millionth of the bound) is moved onto the bound.
 
     Args:
-        space: the action space of one world, for the message.
+        space: the action space of one environment, for the message.
         bound: its symmetric bound.
         actions: numbers.
         shape: the shape that they must have.

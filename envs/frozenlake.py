@@ -1,4 +1,4 @@
-"""FrozenLake with passengers: the single world, and how it is drawn."""
+"""FrozenLake with passengers: the single environment, and how it is drawn."""
 
 from __future__ import annotations
 
@@ -45,7 +45,7 @@ class FrozenLakeEnv(gymnasium.Env[NDArray[Any], Any]):
     Labels: ``p1``, ``p2``, ``p3`` while carrying that passenger; ``g`` (or ``g1``, ``g2``) on the goal.
 
     Termination: entering a hole; with one goal also any move made on the goal cell. Whoever has ended stays
-    as they are, and ``terminated`` stays true, until the world is reset or set.
+    as they are, and ``terminated`` stays true, until the environment is reset or set.
 
     Observation ``"features"``, 83 numbers in [-1, 1]. A one-hot of the agent's 64 cells, so that a small
     network learns a cell's action without smoothing over holes; a one-hot of the hands (nobody, 1, 2, 3); and

@@ -51,7 +51,7 @@ class Lake:
     Attributes:
         goals: 1 (task 7) or 2 (task 8).
         propositions: names of the label columns.
-        tiles: the map as one string of 64 letters.
+        tiles: the map as one string of 64 symbols.
         start: int64 array of shape (7,), the state after a reset.
         cell_after: flat table of the next cell, indexed by (64*ended + cell)*6 + action.
         ended_after: flat table of the next ``ended``, with the same index.

@@ -49,7 +49,7 @@ class HalfCheetahEnv(gymnasium.Env[NDArray[Any], Any]):
 
     Action: six torques in [-1, 1], of the back thigh, shin and foot and the front ones, for 0.05 s.
 
-    Labels: ``h1`` to ``h5`` if x is closer than 0.3 to -8, -4, 0, 4, 8 *after* the step. A world never
+    Labels: ``h1`` to ``h5`` if x is closer than 0.3 to -8, -4, 0, 4, 8 *after* the step. An environment never
     terminates, however the cheetah lies.
 
     Observation ``"features"``, 24 numbers clipped to [-1, 1]: x (by 10), z, sine of the pitch (which grows with
@@ -154,7 +154,7 @@ class HalfCheetahEnv(gymnasium.Env[NDArray[Any], Any]):
 
 @cache
 def load_model() -> Any:
-    """Gymnasium's half-cheetah as a ``mujoco.MjModel``, shared by all worlds since stepping only reads it."""
+    """Gymnasium's half-cheetah as a ``mujoco.MjModel``, shared by all environments since stepping only reads it."""
     # Compiled from a specification, because loading the file directly logs a deprecation of MuJoCo 4 into the
     # current folder.
     with warnings.catch_warnings():

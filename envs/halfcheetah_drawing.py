@@ -66,7 +66,7 @@ def _draw_flag(canvas: Canvas, at: float, name: str, reached: bool) -> None:
 
 def _draw_body(canvas: Canvas, model: Any, positions: NDArray[np.float64]) -> None:
     """Every capsule as a thick line; the front in another colour than the back."""
-    # Places come from data of their own: filling in the world's would touch what its next step starts from.
+    # Places come from data of their own: filling in the environment's would touch what its next step starts from.
     data = mujoco.MjData(model)
     data.qpos[:] = positions
     mujoco.mj_kinematics(model, data)

@@ -1,20 +1,20 @@
-"""What every world promises beyond Gymnasium, and the checks of what it is given.
+"""What every environment promises beyond Gymnasium, and the checks of what it is given.
 
-Labels. ``propositions`` names the propositions of a world. After every step and at reset, ``info["labels"]``
-holds those that are true in the state *after* the step. The world knows nothing of automata and its reward is
+Labels. ``propositions`` names the propositions of an environment. After every step and at reset, ``info["labels"]``
+holds those that are true in the state *after* the step. The environment knows nothing of automata and its reward is
 0; the product with the DFA pays the task's reward.
 
 Snapshots. ``get_state`` returns everything that decides the future as one flat array; ``set_state`` restores
 it exactly: the same actions then give bit-identical observations, labels and snapshots. There is no step
-counter in a world, hence none in a snapshot.
+counter in an environment, hence none in a snapshot.
 
-The loop a batched world is meant for::
+The loop a batched environment is meant for::
 
-    observations, info = world.reset(seed=0)
+    observations, info = environment.reset(seed=0)
     while learning:
-        observations, _, terminated, _, info = world.step(choose(observations))
+        observations, _, terminated, _, info = environment.step(choose(observations))
         ended = np.flatnonzero(terminated | out_of_time | reached_target(info["labels"]))
-        observations[ended] = world.set_states(ended, start_states(ended.size))
+        observations[ended] = environment.set_states(ended, start_states(ended.size))
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ from numpy.typing import ArrayLike, NDArray
 
 @runtime_checkable
 class SnapshotEnv(Protocol):
-    """A single world, besides being a ``gymnasium.Env``.
+    """A single environment, besides being a ``gymnasium.Env``.
 
     ``info["labels"]`` is a frozenset of the names that are true.
 
@@ -46,14 +46,14 @@ class SnapshotEnv(Protocol):
         """Restore a snapshot; returns the observation there.
 
         Raises:
-            ValueError: if ``state`` is no snapshot of this world; the world then stays as it was.
+            ValueError: if ``state`` is no snapshot of this environment; the environment then stays as it was.
         """
         ...
 
 
 @runtime_checkable
 class SnapshotVectorEnv(Protocol):
-    """A batch of N worlds, besides being a ``gymnasium.vector.VectorEnv`` with autoreset disabled.
+    """A batch of N environments, besides being a ``gymnasium.vector.VectorEnv`` with autoreset disabled.
 
     - ``step(actions[N])`` returns observations float32 [N, d], rewards of zero [N], terminated bool [N],
       truncated all false [N], and ``info["labels"]``, bool [N, P] with the columns in the order of
@@ -63,7 +63,7 @@ class SnapshotVectorEnv(Protocol):
     - A row that has terminated stays as it is, whatever the action, and keeps reporting ``terminated`` until
       it is reset or set.
 
-    A world with random generators beside Gymnasium's ``np_random`` lists them as ``generators``, so that a training
+    An environment with random generators beside Gymnasium's ``np_random`` lists them as ``generators``; a training
     can be resumed with exactly the same chance.
 
     Attributes:
@@ -85,7 +85,7 @@ class SnapshotVectorEnv(Protocol):
 
         Raises:
             ValueError: if an index is out of range or named twice, or a row of ``states`` is no snapshot of
-                this world; no row is changed then.
+                this environment; no row is changed then.
         """
         ...
 
@@ -116,8 +116,8 @@ def checked_actions(space: spaces.Discrete, actions: ArrayLike, num_envs: int) -
     """The actions of a batch as an intp array of shape (num_envs,).
 
     Args:
-        space: the action space of one world, numbered from 0.
-        actions: integers, one per world.
+        space: the action space of one environment, numbered from 0.
+        actions: integers, one per environment.
         num_envs: N.
 
     Raises:
@@ -183,11 +183,11 @@ def checked_reset_mask(mask: object, num_envs: int) -> NDArray[np.bool_]:
     return mask
 
 
-def checked_snapshots(world: str, states: object, count: int, size: int, kind: str) -> NDArray[Any]:
-    """Check type, shape and finiteness of snapshots; what their values mean is the world's to check.
+def checked_snapshots(env: str, states: object, count: int, size: int, kind: str) -> NDArray[Any]:
+    """Check type, shape and finiteness of snapshots; what their values mean is the environment's to check.
 
     Args:
-        world: name of the world, for the message.
+        env: name of the environment, for the message.
         states: what should be an array of shape (count, size).
         count: number of snapshots.
         size: length of one snapshot.
@@ -199,9 +199,9 @@ def checked_snapshots(world: str, states: object, count: int, size: int, kind: s
     if not isinstance(states, np.ndarray) or states.dtype.kind not in kind or states.shape != (count, size):
         came = f"{states.dtype} {states.shape}" if isinstance(states, np.ndarray) else type(states).__name__
         raise ValueError(
-            f"{world} expects {count} snapshot(s), an array of shape ({count}, {size}), dtype kind {kind!r}, "
+            f"{env} expects {count} snapshot(s), an array of shape ({count}, {size}), dtype kind {kind!r}, "
             f"got {came}: {states!r}"
         )
     if states.dtype.kind == "f" and not np.isfinite(states).all():
-        raise ValueError(f"a snapshot of {world} must be finite, got {states!r}")
+        raise ValueError(f"a snapshot of {env} must be finite, got {states!r}")
     return states

@@ -52,7 +52,7 @@ class RacecarEnv(gymnasium.Env[NDArray[Any], Any]):
     to the start, at rest.
 
     Labels: ``g1`` to ``g4`` if the car was in that target *before* the move of the step; ``wall`` if the step
-    before met a wall. At reset those that the first step reports, hence none. A world never terminates.
+    before met a wall. At reset those that the first step reports, hence none. An environment never terminates.
 
     Observation ``"features"``, 23 numbers in [-1, 1]: position (by 1.5), velocity (by 0.5); clearance from
     the outer square and from the obstacle's circle (by 1.5 and 2); 1 if the next step will report ``wall``;

@@ -1,7 +1,7 @@
 """Drawing for ``render_mode="rgb_array"``: shapes, text and the band of labels, on Pillow.
 
 Shapes are drawn three times too large and scaled down, which smooths their edges. Pillow is imported with
-this module, and worlds import this module when they first render.
+this module, and environments import this module when they first render.
 """
 
 from __future__ import annotations

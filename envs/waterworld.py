@@ -1,4 +1,4 @@
-"""Waterworld: the single world, and how it is drawn."""
+"""Waterworld: the single environment, and how it is drawn."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ class WaterworldEnv(gymnasium.Env[NDArray[Any], Any]):
     Action: a velocity in [-3.5, 3.5]^2, which takes effect in the *next* step.
 
     Labels: the colours of the balls that touched the agent *before* the move of the step. At reset, and
-    after ``set_state`` in a picture, those touched there, which the first step reports once more. A world
+    after ``set_state`` in a picture, those touched there, which the first step reports once more. An environment
     never terminates.
 
     Observation ``"features"``: 144 numbers in [-1, 1] for 6 colours, 190 for 8.

@@ -30,7 +30,7 @@ class WaterworldVectorEnv(VectorEnv[NDArray[np.float32], NDArray[Any], NDArray[A
     """N ponds as described in ``WaterworldEnv``; contract in ``envs.protocol.SnapshotVectorEnv``.
 
     No pond ever terminates. With ``map="random"`` each row has a generator of its own, and row i reset with
-    seed s draws the maps of a single world reset with s + i.
+    seed s draws the maps of a single environment reset with s + i.
     """
 
     metadata = {  # noqa: RUF012 - gymnasium's own convention

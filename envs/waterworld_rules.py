@@ -168,8 +168,8 @@ def checked_states(palette: Palette, snapshots: object, count: int) -> NDArray[n
         ValueError: if they are not finite floats of shape (count, 4*(balls + 1)), or one of them has a
             position outside the field or a velocity that no ball or no agent can have.
     """
-    world = f"Waterworld with {palette.balls} balls"
-    flat = checked_snapshots(world, snapshots, count, snapshot_size(palette), "f")
+    env = f"Waterworld with {palette.balls} balls"
+    flat = checked_snapshots(env, snapshots, count, snapshot_size(palette), "f")
     states = to_states(flat.astype(np.float64))
     positions, speeds = states[:2], np.abs(states[2:])
     wrong = {
@@ -180,5 +180,5 @@ def checked_states(palette: Palette, snapshots: object, count: int) -> NDArray[n
     for reason, entries in wrong.items():
         if entries.any():
             row = int(np.argmax(entries.any(axis=(0, 2))))
-            raise ValueError(f"row {row} is no snapshot of {world}: {reason}: {flat[row]}")
+            raise ValueError(f"row {row} is no snapshot of {env}: {reason}: {flat[row]}")
     return states

@@ -1,4 +1,4 @@
-"""A world with random resets: a courier, a parcel, a door and a puddle, each on a cell of its own in every episode."""
+"""An environment with random resets: a courier, a parcel, a door and a puddle, each on its own cell every episode."""
 
 from __future__ import annotations
 

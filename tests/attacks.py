@@ -171,40 +171,40 @@ def overflowing() -> list[list[bytes]]:
     ]
 
 
-def mutated(frames: list[bytes], dice: random.Random) -> list[bytes]:
+def mutated(frames: list[bytes], rng: random.Random) -> list[bytes]:
     """A message with a few bytes changed, a frame dropped, repeated or cut short."""
     changed = [bytearray(each) for each in frames]
-    for _ in range(dice.randint(1, 4)):
-        target = dice.choice(changed)
+    for _ in range(rng.randint(1, 4)):
+        target = rng.choice(changed)
         if target:
-            target[dice.randrange(len(target))] = dice.randrange(256)
-    action = dice.randrange(5)
+            target[rng.randrange(len(target))] = rng.randrange(256)
+    action = rng.randrange(5)
     if action == 0:
-        changed.append(bytearray(dice.randbytes(dice.randrange(50))))
+        changed.append(bytearray(rng.randbytes(rng.randrange(50))))
     elif action == 1 and len(changed) > 1:
         changed.pop()
     elif action == 2:
-        changed[0] = changed[0][: dice.randrange(len(changed[0]) + 1)]
+        changed[0] = changed[0][: rng.randrange(len(changed[0]) + 1)]
     return [bytes(each) for each in changed]
 
 
-def malformed(dice: random.Random) -> Iterator[list[bytes]]:
+def malformed(rng: random.Random) -> Iterator[list[bytes]]:
     """Malformed messages without end."""
     real, wild = real_messages(), overflowing()
     while True:
-        draw = dice.random()
+        draw = rng.random()
         if draw < 0.6:
-            yield mutated(dice.choice(real), dice)
+            yield mutated(rng.choice(real), rng)
         elif draw < 0.8:
-            yield [dice.randbytes(dice.randrange(200)) for _ in range(dice.randint(1, 4))]
+            yield [rng.randbytes(rng.randrange(200)) for _ in range(rng.randint(1, 4))]
         else:
-            yield dice.choice(wild) or [b""]
+            yield rng.choice(wild) or [b""]
 
 
 def malformed_messages(endpoint: str, count: int, seed: int, pause_s: float = 0.0) -> int:
     """Send ``count`` malformed messages, over another connection whenever one is ended; how many were sent."""
-    dice, sent = random.Random(seed), 0
-    messages = malformed(dice)
+    rng, sent = random.Random(seed), 0
+    messages = malformed(rng)
     while sent < count:
         with suppress(OSError), raw_connection(endpoint) as connection:
             connection.settimeout(5.0)

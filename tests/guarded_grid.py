@@ -1,4 +1,4 @@
-"""A small stochastic world for tasks whose acceptance can be lost again: five by five cells with hazards."""
+"""A small stochastic environment for tasks whose acceptance can be lost again: five by five cells with hazards."""
 
 from __future__ import annotations
 

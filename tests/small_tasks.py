@@ -13,14 +13,14 @@ from numpy.typing import NDArray
 from t4nmtd_dist.agents.ppo.agent import PPOLearner
 from t4nmtd_dist.agents.registry import build_learner
 from t4nmtd_dist.core.config import LearnerConfig, TaskConfig
-from t4nmtd_dist.environments.batched import make_world
+from t4nmtd_dist.environments.batched import make_env
 from t4nmtd_dist.method.compiled import CompiledTask, compile_task
 from t4nmtd_dist.method.start_states import InitialStateBuffer
 from t4nmtd_dist.tasks import load_task
 
 torch.set_num_threads(1)
 
-TINY = ("ppo.worlds=4", "ppo.rollout=16", "ppo.epochs=2", "ppo.minibatch=32", "learner.hidden=[16]")
+TINY = ("ppo.num_envs=4", "ppo.rollout=16", "ppo.epochs=2", "ppo.minibatch=32", "learner.hidden=[16]")
 
 # Algorithm 2 and nothing else: extensions of it, as far as there are any, are off.
 _EXTENSIONS = {"revisit_share": "0.0", "hand_over": '"targets"'}
@@ -47,11 +47,11 @@ def small_task(*flags: str) -> CompiledTask:
 
 def snapshot_after(*actions: int) -> NDArray[np.generic]:
     """The lake after some actions from its start."""
-    world = make_world(small_config().environment, 1)
-    world.reset(np.array([0]), 0)
+    env = make_env(small_config().environment, 1)
+    env.reset(np.array([0]), 0)
     for action in actions:
-        world.step(np.array([action]))
-    return world.snapshot(np.array([0]))[0]
+        env.step(np.array([action]))
+    return env.snapshot(np.array([0]))[0]
 
 
 def small_learner(pid: str, *flags: str, starts: tuple[tuple[int, NDArray[np.generic]], ...] = ()) -> PPOLearner:

@@ -22,9 +22,9 @@ from t4nmtd_dist.automata.acceptance import LAST, acceptance_of, with_last
 from t4nmtd_dist.automata.formula import parse, satisfies
 from t4nmtd_dist.automata.translate import translate
 from t4nmtd_dist.cli.commands import Check, Inspect
-from t4nmtd_dist.core.errors import FormulaError, PolicyError, WorldError
+from t4nmtd_dist.core.errors import EnvError, FormulaError, PolicyError
 from t4nmtd_dist.environments.preparation import prepared
-from t4nmtd_dist.environments.timed import TimedWorld, make_task_world
+from t4nmtd_dist.environments.timed import TimedEnv, make_task_env
 from t4nmtd_dist.launch.serial import SerialRun
 from t4nmtd_dist.method.compiled import CompiledTask, compile_task
 from t4nmtd_dist.method.decomposition import Keep, decompose
@@ -134,27 +134,27 @@ def test_sixteen_propositions_leave_no_room_for_last(tmp_path: Path) -> None:
         compile_task(load_task(str(own_task(tmp_path, text))), translator="python")
 
 
-# The world
+# The environment
 
 
 def test_the_world_reports_last_and_shows_the_remaining_time(tmp_path: Path) -> None:
-    world = make_task_world(guarded(tmp_path, SAFETY).config, 2)
-    assert world.propositions[-1] == LAST
-    assert world.reset(ALL, 0)[:, -1].tolist() == [1.0, 1.0]
+    env = make_task_env(guarded(tmp_path, SAFETY).config, 2)
+    assert env.propositions[-1] == LAST
+    assert env.reset(ALL, 0)[:, -1].tolist() == [1.0, 1.0]
     for t in range(1, HORIZON + 1):
-        step = world.step(np.full(2, STAY))
+        step = env.step(np.full(2, STAY))
         assert step.labels[:, -1].tolist() == [t == HORIZON] * 2
         assert step.observations[:, -1] == pytest.approx([1 - t / HORIZON] * 2)
 
 
 def test_snapshots_carry_the_time(tmp_path: Path) -> None:
-    world = make_task_world(guarded(tmp_path, SAFETY).config, 2)
-    world.reset(ALL, 0)
+    env = make_task_env(guarded(tmp_path, SAFETY).config, 2)
+    env.reset(ALL, 0)
     for _ in range(HORIZON - 2):
-        seen = world.step(np.full(2, 2)).observations
-    states = world.snapshot(ALL)
-    world.reset(np.array([0]))
-    other = make_task_world(guarded(tmp_path, SAFETY).config, 2)
+        seen = env.step(np.full(2, 2)).observations
+    states = env.snapshot(ALL)
+    env.reset(np.array([0]))
+    other = make_task_env(guarded(tmp_path, SAFETY).config, 2)
     other.reset(ALL, 5)
     assert np.array_equal(other.restore(np.array([1]), [states[0]])[0], seen[0])
     assert other.step(np.full(2, STAY)).labels[:, -1].tolist() == [False, False]
@@ -164,14 +164,14 @@ def test_snapshots_carry_the_time(tmp_path: Path) -> None:
 @pytest.mark.parametrize("task", ["task1", "task3", "task5", "task7"])
 def test_snapshots_of_our_own_worlds_travel_with_the_time(task: str) -> None:
     config = dataclasses.replace(load_task(task), acceptance="end")
-    world, other = make_task_world(config, 2), make_task_world(config, 2)
-    world.reset(ALL, 0)
+    env, other = make_task_env(config, 2), make_task_env(config, 2)
+    env.reset(ALL, 0)
     other.reset(ALL, 1)
-    actions = np.array([world.action_space.sample() for _ in range(2)])
-    world.step(actions)
-    states = world.snapshot(ALL)
+    actions = np.array([env.action_space.sample() for _ in range(2)])
+    env.step(actions)
+    states = env.snapshot(ALL)
     assert {state.ndim for state in states} == {1}
-    expected = world.step(actions)
+    expected = env.step(actions)
     other.restore(ALL, states)
     now = other.step(actions)
     assert np.array_equal(now.observations, expected.observations)
@@ -179,29 +179,29 @@ def test_snapshots_of_our_own_worlds_travel_with_the_time(task: str) -> None:
 
 
 def test_what_is_no_snapshot_is_refused(tmp_path: Path) -> None:
-    world = make_task_world(guarded(tmp_path, SAFETY).config, 2)
-    world.reset(ALL, 0)
-    good = world.snapshot(ALL)[0]
+    env = make_task_env(guarded(tmp_path, SAFETY).config, 2)
+    env.reset(ALL, 0)
+    good = env.snapshot(ALL)[0]
     for bad in (good[:10], good[:0], good.astype(np.int64), np.full_like(good, 255)):
-        with pytest.raises(WorldError):
-            world.restore(np.array([0]), [bad])
+        with pytest.raises(EnvError):
+            env.restore(np.array([0]), [bad])
 
 
 def test_the_environments_own_limit_ends_the_trace_too(tmp_path: Path) -> None:
-    world = make_task_world(guarded(tmp_path, SAFETY, "environment.options={ends_at=3}").config, 2)
-    world.reset(ALL, 0)
-    reported = [world.step(np.full(2, STAY)).labels[0, -1] for _ in range(3)]
+    env = make_task_env(guarded(tmp_path, SAFETY, "environment.options={ends_at=3}").config, 2)
+    env.reset(ALL, 0)
+    reported = [env.step(np.full(2, STAY)).labels[0, -1] for _ in range(3)]
     assert reported == [False, False, True]
 
 
 def test_the_state_of_the_world_goes_into_checkpoints(tmp_path: Path) -> None:
-    world, other = (make_task_world(guarded(tmp_path, SAFETY).config, 2) for _ in range(2))
-    assert isinstance(world, TimedWorld)
-    world.reset(ALL, 0)
+    env, other = (make_task_env(guarded(tmp_path, SAFETY).config, 2) for _ in range(2))
+    assert isinstance(env, TimedEnv)
+    env.reset(ALL, 0)
     other.reset(ALL, 7)
-    world.step(np.full(2, STAY))
-    other.load_state(world.state())
-    assert np.array_equal(world.step(np.full(2, 3)).observations, other.step(np.full(2, 3)).observations)
+    env.step(np.full(2, STAY))
+    other.load_state_dict(env.state_dict())
+    assert np.array_equal(env.step(np.full(2, 3)).observations, other.step(np.full(2, 3)).observations)
 
 
 # Training, evaluation and the policy
@@ -325,7 +325,7 @@ def test_check_refuses_an_environment_that_reports_last_itself(
     names = ["hazard", "alarm", "goal", LAST]
     monkeypatch.setattr(guarded_grid.GuardedGrid, "propositions", names, raising=False)
     path = own_task(tmp_path, TASK.replace("FORMULA", SAFETY))
-    with pytest.raises(WorldError, match="reports 'last', which is the end of the episode"):
+    with pytest.raises(EnvError, match="reports 'last', which is the end of the episode"):
         prepared(compile_task(load_task(str(path)), translator="python"))
     assert Check(str(path), steps=100, as_json=True).run() == 2
     (problem,) = json.loads(capsys.readouterr().out)["problems"]

@@ -1,4 +1,4 @@
-"""Anyone's environment as a world: spaces, wrappers, time-outs, and snapshots that any process can restore."""
+"""Anyone's environment as an environment: spaces, wrappers, time-outs, and snapshots that any process can restore."""
 
 from __future__ import annotations
 
@@ -17,9 +17,9 @@ from hypothesis import strategies as st
 from own_environments import LEFT, LENGTH, RIGHT
 
 from t4nmtd_dist.core.config import EnvironmentConfig
-from t4nmtd_dist.core.errors import WorldError
+from t4nmtd_dist.core.errors import EnvError
 from t4nmtd_dist.environments.attribute_state import CannotRestoreError, pack, restored
-from t4nmtd_dist.environments.batched import BatchedWorld, LoopedWorld, make_world
+from t4nmtd_dist.environments.batched import BatchedEnv, LoopedEnv, make_env
 from t4nmtd_dist.environments.observations import flattener
 from t4nmtd_dist.environments.restoring import choose_snapshots, chosen, with_snapshots
 from t4nmtd_dist.environments.restoring_words import difference
@@ -36,13 +36,13 @@ def environment(name: str, **settings: Any) -> EnvironmentConfig:
     return EnvironmentConfig(id=f"own_environments:{name}", horizon=30, path=HERE, **settings)
 
 
-def world_of(name: str, count: int = 1, **settings: Any) -> BatchedWorld:
-    return make_world(environment(name, **settings), count, NAMES)
+def env_of(name: str, count: int = 1, **settings: Any) -> BatchedEnv:
+    return make_env(environment(name, **settings), count, NAMES)
 
 
-def course(world: BatchedWorld, actions: list[int]) -> list[list[Any]]:
+def course(env: BatchedEnv, actions: list[int]) -> list[list[Any]]:
     """Observations, labels and ends of all copies, step by step."""
-    steps = [world.step(np.full(world.count, action)) for action in actions]
+    steps = [env.step(np.full(env.count, action)) for action in actions]
     return [[s.observations.tolist(), s.labels.tolist(), s.terminated.tolist(), s.truncated.tolist()] for s in steps]
 
 
@@ -81,7 +81,7 @@ def test_mujoco_environments_are_restored_by_their_integration_state(tmp_path: P
 
 
 def test_chance_that_no_seed_reaches_is_refused_with_what_each_adapter_did_wrong() -> None:
-    with pytest.raises(WorldError) as raised:
+    with pytest.raises(EnvError) as raised:
         choose_snapshots(environment("Erratic"), NAMES)
     first, attributes, replay, cause = str(raised.value).splitlines()
     assert "'own_environments:Erratic' cannot be put back into an earlier state" in first
@@ -100,7 +100,7 @@ REFUSALS = {
 @pytest.mark.parametrize("name", REFUSALS)
 def test_a_refused_adapter_is_told_with_what_differs_and_what_to_do(name: str) -> None:
     adapter, advice = REFUSALS[name]
-    with pytest.raises(WorldError, match=advice) as raised:
+    with pytest.raises(EnvError, match=advice) as raised:
         choose_snapshots(environment(name, snapshots=adapter), NAMES)
     told = str(raised.value)
     assert ('environment.snapshots = "replay"' in told) == (adapter != "replay")
@@ -136,8 +136,8 @@ def test_a_difference_names_the_labels_and_the_end() -> None:
 
 def test_a_setting_chooses_the_adapter_and_one_that_does_not_fit_is_refused() -> None:
     assert choose_snapshots(environment("Corridor", snapshots="replay"), NAMES).adapter == "replay"
-    with pytest.raises(WorldError, match='snapshots = "mujoco" does not fit'):
-        world_of("Corridor", snapshots="mujoco", snapshot_bytes=100)
+    with pytest.raises(EnvError, match='snapshots = "mujoco" does not fit'):
+        env_of("Corridor", snapshots="mujoco", snapshot_bytes=100)
 
 
 # Snapshots
@@ -150,7 +150,7 @@ def test_snapshots_travel_to_other_processes_and_restore_exactly(
     name: str, before: list[int], after: list[int]
 ) -> None:
     config = with_snapshots(environment(name), NAMES)
-    here, there = make_world(config, 1, NAMES), make_world(config, 1, NAMES)
+    here, there = make_env(config, 1, NAMES), make_env(config, 1, NAMES)
     here.reset(ONE, 5)
     earlier = course(here, before)
     if earlier and (earlier[-1][2][0] or earlier[-1][3][0]):
@@ -165,100 +165,100 @@ def test_snapshots_travel_to_other_processes_and_restore_exactly(
 
 def test_snapshots_of_a_run_are_all_alike() -> None:
     for name in ("Corridor", "Named", "Opaque"):
-        world = world_of(name, 3)
-        world.reset(np.arange(3), 0)
-        fresh = world.snapshot(np.arange(3))
-        course(world, [LEFT, RIGHT, RIGHT, RIGHT])
-        kinds = {(state.dtype, state.shape) for state in [*fresh, *world.snapshot(np.arange(3))]}
+        env = env_of(name, 3)
+        env.reset(np.arange(3), 0)
+        fresh = env.snapshot(np.arange(3))
+        course(env, [LEFT, RIGHT, RIGHT, RIGHT])
+        kinds = {(state.dtype, state.shape) for state in [*fresh, *env.snapshot(np.arange(3))]}
         assert len(kinds) == 1
 
 
 def test_equal_states_give_equal_snapshots_however_they_came_about() -> None:
-    world = world_of("Corridor")
-    world.reset(ONE, 1)
-    course(world, [LEFT, RIGHT])
-    (first,) = world.snapshot(ONE)
-    world.reset(ONE, 2)
-    course(world, [LEFT, RIGHT])
-    (second,) = world.snapshot(ONE)
+    env = env_of("Corridor")
+    env.reset(ONE, 1)
+    course(env, [LEFT, RIGHT])
+    (first,) = env.snapshot(ONE)
+    env.reset(ONE, 2)
+    course(env, [LEFT, RIGHT])
+    (second,) = env.snapshot(ONE)
     assert first.tolist() == second.tolist()
 
 
 def test_every_attempt_from_a_start_throws_new_dice() -> None:
     for snapshots in ("attributes", "replay"):
-        world = world_of("Corridor", options={"slip": 0.5}, snapshots=snapshots)
-        world.reset(ONE, 0)
-        course(world, [LEFT])
-        (start,) = world.snapshot(ONE)
+        env = env_of("Corridor", options={"slip": 0.5}, snapshots=snapshots)
+        env.reset(ONE, 0)
+        course(env, [LEFT])
+        (start,) = env.snapshot(ONE)
         courses = []
         for _ in range(8):
-            world.restore(ONE, [start])
-            courses.append(str(course(world, [RIGHT] * 5)))
+            env.restore(ONE, [start])
+            courses.append(str(course(env, [RIGHT] * 5)))
         assert len(set(courses)) > 2, snapshots
 
 
 def test_a_replay_repeats_the_dice_of_all_attempts_before() -> None:
     settings: dict[str, Any] = {"options": {"slip": 0.5}, "snapshots": "replay"}
-    world, other = world_of("Corridor", **settings), world_of("Corridor", **settings)
-    world.reset(ONE, 0)
-    (state,) = world.snapshot(ONE)
+    env, other = env_of("Corridor", **settings), env_of("Corridor", **settings)
+    env.reset(ONE, 0)
+    (state,) = env.snapshot(ONE)
     for number in range(6):
-        world.restore(ONE, [state])
-        observations = world.step(np.array([number % 2])).observations
-        (state,) = world.snapshot(ONE)
+        env.restore(ONE, [state])
+        observations = env.step(np.array([number % 2])).observations
+        (state,) = env.snapshot(ONE)
         assert other.restore(ONE, [state]).tolist() == observations.tolist()
 
 
 def test_replayed_steps_are_counted() -> None:
-    world = world_of("Opaque")
-    world.reset(ONE, 0)
-    course(world, [LEFT] * 4)
-    (state,) = world.snapshot(ONE)
-    before = world.replayed
-    world.restore(ONE, [state])
-    assert world.replayed - before == 4
+    env = env_of("Opaque")
+    env.reset(ONE, 0)
+    course(env, [LEFT] * 4)
+    (state,) = env.snapshot(ONE)
+    before = env.replayed
+    env.restore(ONE, [state])
+    assert env.replayed - before == 4
 
 
 def test_an_episode_that_can_no_longer_be_replayed_is_cut() -> None:
-    world = make_world(dataclasses.replace(environment("Opaque"), horizon=5, snapshots="replay"), 1, NAMES)
-    world.reset(ONE, 0)
-    assert [step[3] for step in course(world, [LEFT] * 5)] == [[False]] * 4 + [[True]]
+    env = make_env(dataclasses.replace(environment("Opaque"), horizon=5, snapshots="replay"), 1, NAMES)
+    env.reset(ONE, 0)
+    assert [step[3] for step in course(env, [LEFT] * 5)] == [[False]] * 4 + [[True]]
 
 
 def test_a_snapshot_of_something_else_is_refused() -> None:
-    (state,) = world_of("Mixed").snapshot(ONE)
-    world = world_of("Corridor")
+    (state,) = env_of("Mixed").snapshot(ONE)
+    env = env_of("Corridor")
     for wrong in (state, np.zeros(3), np.zeros(8, np.uint8), np.full(40, 255, np.uint8)):
-        with pytest.raises(WorldError, match="no snapshot of <Corridor"):
-            world.restore(ONE, [wrong])
+        with pytest.raises(EnvError, match="no snapshot of <Corridor"):
+            env.restore(ONE, [wrong])
 
 
 def test_a_snapshot_that_does_not_fit_says_what_to_do() -> None:
-    world = world_of("Corridor", snapshots="attributes", snapshot_bytes=8)
-    world.reset(ONE, 0)
-    with pytest.raises(WorldError, match=r"room for 8: set environment\.snapshot_bytes"):
-        world.snapshot(ONE)
+    env = env_of("Corridor", snapshots="attributes", snapshot_bytes=8)
+    env.reset(ONE, 0)
+    with pytest.raises(EnvError, match=r"room for 8: set environment\.snapshot_bytes"):
+        env.snapshot(ONE)
 
 
 # What a callable returns is kept as it is
 
 
 def test_wrappers_and_their_counters_are_part_of_the_world() -> None:
-    world = world_of("timed", options={"steps": 4})
-    world.reset(ONE, 0)
-    course(world, [LEFT] * 3)
-    (late,) = world.snapshot(ONE)
-    world.reset(ONE)
-    assert [step[3] for step in course(world, [LEFT] * 4)] == [[False]] * 3 + [[True]]
-    world.restore(ONE, [late])
-    assert course(world, [LEFT])[0][2:] == [[False], [True]], "a time-out is no terminal"
+    env = env_of("timed", options={"steps": 4})
+    env.reset(ONE, 0)
+    course(env, [LEFT] * 3)
+    (late,) = env.snapshot(ONE)
+    env.reset(ONE)
+    assert [step[3] for step in course(env, [LEFT] * 4)] == [[False]] * 3 + [[True]]
+    env.restore(ONE, [late])
+    assert course(env, [LEFT])[0][2:] == [[False], [True]], "a time-out is no terminal"
 
 
 def test_a_registered_environment_loses_gymnasiums_time_limit_only() -> None:
     settings = EnvironmentConfig("MountainCar-v0", 300, labels="own_environments:nothing_holds", path=HERE)
-    world = make_world(settings, 1, ("left",))
-    world.reset(ONE, 0)
-    assert not any(world.step(np.array([1])).truncated[0] for _ in range(250))
+    env = make_env(settings, 1, ("left",))
+    env.reset(ONE, 0)
+    assert not any(env.step(np.array([1])).truncated[0] for _ in range(250))
 
 
 # Opening and labels
@@ -280,8 +280,8 @@ def test_a_registered_environment_loses_gymnasiums_time_limit_only() -> None:
     ],
 )
 def test_what_cannot_be_opened_is_named(changes: dict[str, Any], message: str) -> None:
-    with pytest.raises(WorldError, match=message):
-        make_world(dataclasses.replace(environment("Corridor"), **changes), 1, NAMES)
+    with pytest.raises(EnvError, match=message):
+        make_env(dataclasses.replace(environment("Corridor"), **changes), 1, NAMES)
 
 
 @pytest.mark.parametrize(
@@ -294,42 +294,42 @@ def test_what_cannot_be_opened_is_named(changes: dict[str, Any], message: str) -
     ],
 )
 def test_a_labelling_function_that_does_not_do_its_work_is_named(function: str, message: str) -> None:
-    world = world_of("Corridor", labels=f"own_environments:{function}", snapshots="attributes", snapshot_bytes=400)
-    world.reset(ONE, 0)
-    with pytest.raises(WorldError, match=message):
-        world.step(np.array([LEFT]))
+    env = env_of("Corridor", labels=f"own_environments:{function}", snapshots="attributes", snapshot_bytes=400)
+    env.reset(ONE, 0)
+    with pytest.raises(EnvError, match=message):
+        env.step(np.array([LEFT]))
 
 
 def test_without_a_function_the_environment_must_report_labels() -> None:
-    world = make_world(EnvironmentConfig("CartPole-v1", 10, snapshots="attributes", snapshot_bytes=400), 1, NAMES)
-    world.reset(ONE, 0)
-    with pytest.raises(WorldError, match="names no labelling function"):
-        world.step(np.array([LEFT]))
+    env = make_env(EnvironmentConfig("CartPole-v1", 10, snapshots="attributes", snapshot_bytes=400), 1, NAMES)
+    env.reset(ONE, 0)
+    with pytest.raises(EnvError, match="names no labelling function"):
+        env.step(np.array([LEFT]))
 
 
 def test_a_labelling_function_sees_the_observation_as_it_was() -> None:
-    world = world_of("Corridor", labels="own_environments:ends")
-    world.reset(ONE, 0)
-    labels = [step[1][0] for step in course(world, [LEFT] * 3)]
+    env = env_of("Corridor", labels="own_environments:ends")
+    env.reset(ONE, 0)
+    labels = [step[1][0] for step in course(env, [LEFT] * 3)]
     assert labels == [[False] * 3, [False] * 3, [True, False, False]]
 
 
 def test_observations_that_are_not_finite_are_refused(monkeypatch: pytest.MonkeyPatch) -> None:
-    world = world_of("Mixed")
-    assert isinstance(world, LoopedWorld)
-    world.reset(ONE, 0)
+    env = env_of("Mixed")
+    assert isinstance(env, LoopedEnv)
+    env.reset(ONE, 0)
     broken = {"picture": np.full((2, LENGTH), np.nan, np.float32), "last": 0}
     monkeypatch.setattr(own_environments.Mixed, "observe", lambda _: broken)
-    with pytest.raises(WorldError, match=r"observation of step\(\) holds NaN or infinity"):
-        world.step(np.array([LEFT]))
+    with pytest.raises(EnvError, match=r"observation of step\(\) holds NaN or infinity"):
+        env.step(np.array([LEFT]))
 
 
 @pytest.mark.parametrize("bad", [np.nan, np.inf])
 def test_a_first_observation_that_is_not_finite_is_refused(bad: float, monkeypatch: pytest.MonkeyPatch) -> None:
-    world = world_of("Offset")
+    env = env_of("Offset")
     monkeypatch.setattr(own_environments.Offset, "observe", lambda _: np.array([bad], np.float32))
-    with pytest.raises(WorldError, match=r"observation of reset\(\) holds NaN or infinity"):
-        world.reset(ONE, 0)
+    with pytest.raises(EnvError, match=r"observation of reset\(\) holds NaN or infinity"):
+        env.reset(ONE, 0)
 
 
 def test_an_observation_of_a_restored_state_that_is_not_finite_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -343,20 +343,20 @@ def test_an_observation_of_a_restored_state_that_is_not_finite_is_refused(monkey
             return np.array([np.nan], np.float32)
 
     monkeypatch.setattr(own_environments, "Kept", Kept, raising=False)
-    world = world_of("Kept", snapshots="own")
-    world.reset(ONE, 0)
-    with pytest.raises(WorldError, match="observation after restoring a state holds NaN or infinity"):
-        world.restore(ONE, world.snapshot(ONE))
+    env = env_of("Kept", snapshots="own")
+    env.reset(ONE, 0)
+    with pytest.raises(EnvError, match="observation after restoring a state holds NaN or infinity"):
+        env.restore(ONE, env.snapshot(ONE))
 
 
 @pytest.mark.parametrize("state", [np.zeros((2, 3)), np.array(1.0), (1, 2)], ids=["matrix", "number", "tuple"])
 def test_a_snapshot_that_is_no_flat_array_is_refused(state: Any, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(own_environments.Named, "propositions", NAMES, raising=False)
-    world = world_of("Named", snapshots="own")
-    world.reset(ONE, 0)
+    env = env_of("Named", snapshots="own")
+    env.reset(ONE, 0)
     monkeypatch.setattr(own_environments.Named, "get_state", lambda _: state)
-    with pytest.raises(WorldError, match=r"get_state\(\).*expected a flat NumPy array"):
-        world.snapshot(ONE)
+    with pytest.raises(EnvError, match=r"get_state\(\).*expected a flat NumPy array"):
+        env.snapshot(ONE)
 
 
 # Observations
@@ -371,7 +371,7 @@ def test_observations_are_flattened() -> None:
     assert both.size == flat.size == 9
     assert flat.dtype == np.float32
     assert sorted(flat.tolist()) == [0, 0] + [1] * 7
-    with pytest.raises(WorldError, match=r"not in -1\.\.1"):
+    with pytest.raises(EnvError, match=r"not in -1\.\.1"):
         flattener(one_of).flatten(2)
 
 
@@ -379,7 +379,7 @@ def test_observations_are_flattened() -> None:
     "space", [spaces.MultiBinary(3), spaces.Dict({"inner": spaces.Dict({"a": spaces.Discrete(2)})}), spaces.Text(3)]
 )
 def test_other_observations_are_refused_by_name(space: Any) -> None:
-    with pytest.raises(WorldError, match="is not supported; expected Box, Discrete, MultiDiscrete, or a flat Dict"):
+    with pytest.raises(EnvError, match="is not supported; expected Box, Discrete, MultiDiscrete, or a flat Dict"):
         flattener(space)
 
 
@@ -388,7 +388,7 @@ def test_other_actions_are_refused_by_name(space: Any, monkeypatch: pytest.Monke
     made = own_environments.Corridor()
     made.action_space = space
     monkeypatch.setattr(own_environments, "Corridor", lambda: made)
-    with pytest.raises(WorldError, match=r"action space .* is not supported"):
+    with pytest.raises(EnvError, match=r"action space .* is not supported"):
         EnvironmentCopy(environment("Corridor"), NAMES)
 
 

@@ -14,7 +14,7 @@ from small_tasks import TINY, own_task
 from coordinator.state import RunSettings
 from t4nmtd_dist.cli.check import check
 from t4nmtd_dist.core.config import EnvironmentConfig, LearnerConfig, TaskConfig, task_config
-from t4nmtd_dist.core.errors import WorldError
+from t4nmtd_dist.core.errors import EnvError
 from t4nmtd_dist.environments.decisions import with_algorithm
 from t4nmtd_dist.environments.preparation import prepared
 from t4nmtd_dist.launch.serial import SerialRun
@@ -76,7 +76,7 @@ def test_a_chosen_algorithm_comes_back_from_a_runs_file(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize(("name", "algorithm"), [("Pushed", "ppo"), ("Corridor", "sac")])
 def test_a_given_algorithm_that_does_not_fit_is_refused(name: str, algorithm: str, tmp_path: Path) -> None:
-    with pytest.raises(WorldError, match=f"{algorithm.upper()} needs a "):
+    with pytest.raises(EnvError, match=f"{algorithm.upper()} needs a "):
         ready(PUSHED.replace("Pushed", name), tmp_path, f"learner.algorithm={algorithm}")
 
 
@@ -99,7 +99,7 @@ def test_the_choice_is_shown(tmp_path: Path, capsys: pytest.CaptureFixture[str])
 
 
 def test_both_kinds_train_in_lock_step(tmp_path: Path) -> None:
-    tiny = (*TINY, "sac.worlds=2", "sac.batch=16", "sac.learning_starts=20", "sac.replay_rows=200")
+    tiny = (*TINY, "sac.num_envs=2", "sac.batch=16", "sac.learning_starts=20", "sac.replay_rows=200")
     for name in ("Pushed", "Corridor"):
         run = SerialRun(ready(PUSHED.replace("Pushed", name), tmp_path, *tiny), RunSettings(0, 100_000), float)
         for _ in range(4):

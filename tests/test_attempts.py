@@ -158,7 +158,7 @@ def test_interactions_are_steps_times_copies(actions: list[list[int]]) -> None:
 
 def test_roll_outs_count_every_step_of_every_copy() -> None:
     """Trap: steps of PPO roll-outs under-counted."""
-    learner = small_learner("p1", "ppo.worlds=3", "ppo.rollout=11", "learner.attempt_steps=4")
+    learner = small_learner("p1", "ppo.num_envs=3", "ppo.rollout=11", "learner.attempt_steps=4")
     for rounds in range(1, 4):
         learner.iterate(NoPeers())
         assert learner.attempts.interactions == rounds * 3 * 11

@@ -12,7 +12,7 @@ import pytest
 from small_tasks import own_task
 
 from t4nmtd_dist.cli.check import check
-from t4nmtd_dist.core.errors import ConfigError, WorldError
+from t4nmtd_dist.core.errors import ConfigError, EnvError
 
 HERE = Path(__file__).parent
 
@@ -104,7 +104,7 @@ def test_the_packages_own_tasks_can_be_checked(capsys: pytest.CaptureFixture[str
 )
 def test_what_cannot_be_run_at_all_is_named(old: str, new: str, message: str, tmp_path: Path) -> None:
     text = CORRIDOR.replace("& G(!again)", "") if "again" in old else CORRIDOR
-    with pytest.raises(WorldError, match=message):
+    with pytest.raises(EnvError, match=message):
         check(str(own_task(tmp_path, text.replace(old, new))), steps=100, seed=0, flags=(), as_json=False)
 
 

@@ -26,7 +26,7 @@ horizon = 10
 gamma = 0.5
 attempt_steps = 7
 [ppo]
-worlds = 3
+num_envs = 3
 """
 
 
@@ -47,9 +47,9 @@ def test_defaults_give_way_to_the_task_to_configs_in_order_and_to_flags(own: Pat
     flags = ["ppo.rollout=6"]
     config = load_task(str(own), configs=[first, second], flags=flags)
     plain = load_task(str(own))
-    assert (plain.learner.gamma, plain.learner.attempt_steps, plain.ppo.worlds) == (0.5, 7, 3)
+    assert (plain.learner.gamma, plain.learner.attempt_steps, plain.ppo.num_envs) == (0.5, 7, 3)
     assert (config.learner.gamma, config.learner.attempt_steps) == (0.7, 8)
-    assert (config.ppo.rollout, config.ppo.worlds) == (6, 3)
+    assert (config.ppo.rollout, config.ppo.num_envs) == (6, 3)
     assert config.ppo.epochs == plain.ppo.epochs == TaskConfig.__dataclass_fields__["ppo"].default.epochs
 
 
@@ -64,7 +64,7 @@ UNKNOWN = {
     "learner.gama=0.9": ("learner.gama", "learner.gamma"),
     "learnr.gamma=0.9": ("learnr", "learner"),
     "horizon=3": ("horizon", ""),
-    "ppo.worlds.x=3": ("ppo.worlds", ""),
+    "ppo.num_envs.x=3": ("ppo.num_envs", ""),
     "environment.horizn=3": ("environment.horizn", "environment.horizon"),
 }
 
@@ -88,7 +88,7 @@ OUT_OF_RANGE = [
     "learner.reward_scale=-1.0",
     "learner.reward_scale=nan",
     "learner.start_capacity=0",
-    "ppo.worlds=0",
+    "ppo.num_envs=0",
     "ppo.rollout=-3",
     "ppo.learning_rate=0.0",
     "ppo.gae_lambda=2.0",
@@ -118,7 +118,7 @@ def test_numbers_out_of_range_are_refused_by_key(flag: str) -> None:
     [
         ("learner.shaping=none", "learner.shaping"),
         ("learner.gamma=high", "float"),
-        ("ppo.worlds=2.5", "int"),
+        ("ppo.num_envs=2.5", "int"),
         ("ppo=3", "ppo"),
         ("propositions=[1]", "str"),
     ],

@@ -89,7 +89,7 @@ def test_evaluations_take_at_most_a_tenth_of_the_processor_time() -> None:
     assert talk.poll().job == 2
     assert summary(talk.state)["evaluations_processor_share"] == pytest.approx(2 / 20.1, abs=1e-4)
     resumed = Evaluated()
-    resumed.state.evaluations.load_state(talk.state.evaluations.state())
+    resumed.state.evaluations.load_state_dict(talk.state.evaluations.state_dict())
     resumed.train(1000, processor_s=17.9)
     assert resumed.poll().job == 0, "what was spent before counts"
 
@@ -279,7 +279,7 @@ def test_the_best_policy_survives_a_resume() -> None:
     talk, resumed = Evaluated(), Evaluated()
     talk.evaluate(0.5)
     talk.evaluate(0.4)
-    resumed.state.evaluations.load_state(talk.state.evaluations.state())
+    resumed.state.evaluations.load_state_dict(talk.state.evaluations.state_dict())
     assert kept(resumed) == (1, 0.5)
 
 
@@ -287,14 +287,14 @@ def test_a_checkpoint_that_knows_only_the_last_policy_is_gone_on_from() -> None:
     """As the program wrote them before it kept the best policy."""
     talk, resumed = Evaluated(), Evaluated()
     talk.evaluate(0.5)
-    state = talk.state.evaluations.state()
+    state = talk.state.evaluations.state_dict()
     best = state.pop("best")
     new = {"actions", "other_success_rate"}
     state["history"] = [{name: row[name] for name in row.keys() - new} for row in state["history"]]
-    resumed.state.evaluations.load_state({**state, "last": best["snapshot"]})
+    resumed.state.evaluations.load_state_dict({**state, "last": best["snapshot"]})
     assert kept(resumed) == (1, 0.5)
     unevaluated = Evaluated()
-    unevaluated.state.evaluations.load_state({**state, "history": [], "last": None})
+    unevaluated.state.evaluations.load_state_dict({**state, "history": [], "last": None})
     assert unevaluated.state.evaluations.best is None
 
 

@@ -23,8 +23,8 @@ from t4nmtd_dist.core.errors import ConfigError
 NAMES = ("a", "b", "c", "d")
 
 
-def holds(cube: Cube, letter: int, names: tuple[str, ...]) -> bool:
-    true = {name for i, name in enumerate(names) if letter >> i & 1}
+def holds(cube: Cube, symbol: int, names: tuple[str, ...]) -> bool:
+    true = {name for i, name in enumerate(names) if symbol >> i & 1}
     return all((lit[1:] not in true) if lit[0] == "~" else (lit in true) for lit in cube)
 
 
@@ -73,17 +73,17 @@ def test_irredundant_cover_is_exact_and_no_cube_can_go(
 
 
 def test_dont_cares_shorten_implicants() -> None:
-    letters = np.arange(8)
-    only_a = letters == 1
-    several = np.array([a.bit_count() > 1 for a in letters.tolist()])
+    symbols = np.arange(8)
+    only_a = symbols == 1
+    several = np.array([a.bit_count() > 1 for a in symbols.tolist()])
     assert prime_implicants(only_a, np.zeros(8, bool), ("a", "b", "c")) == (("a", "~b", "~c"),)
     assert prime_implicants(only_a, several, ("a", "b", "c")) == (("a",),)
 
 
 def test_a_sparse_guard_over_sixteen_propositions_is_found() -> None:
     names = tuple(f"p{i:02}" for i in range(16))
-    letters = np.arange(1 << 16)
-    on = ((letters & 0b1000_0000_0000_0001) == 1) | ((letters & 0b110) == 0b110)
+    symbols = np.arange(1 << 16)
+    on = ((symbols & 0b1000_0000_0000_0001) == 1) | ((symbols & 0b110) == 0b110)
     assert prime_implicants(on, np.zeros_like(on), names) == (("p00", "~p15"), ("p01", "p02"))
 
 

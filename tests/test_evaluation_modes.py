@@ -37,7 +37,7 @@ horizon = 30
 hidden = [2]
 attempt_steps = 10
 [ppo]
-worlds = 4
+num_envs = 4
 rollout = 16
 [evaluation]
 episodes = 20
@@ -113,7 +113,7 @@ def test_sampled_episodes_follow_from_the_seed_and_go_on_from_a_checkpoint(tmp_p
     first, again, other = (Evaluator(policy, 20, seed=seed) for seed in (1, 1, 2))
     assert lengths(first) == lengths(again) != lengths(other)
     resumed = Evaluator(policy, 20, seed=3)
-    resumed.load_state(first.state())
+    resumed.load_state_dict(first.state_dict())
     assert lengths(resumed) == lengths(first) == lengths(again)
 
 
@@ -131,9 +131,9 @@ def test_sampling_does_not_change_where_greedy_episodes_begin(tmp_path: Path) ->
 def test_a_checkpoint_without_sampling_is_gone_on_from(tmp_path: Path) -> None:
     policy = policy_of(corridor(tmp_path), WAVERS)
     evaluator = Evaluator(policy, 2, seed=1)
-    state = evaluator.state()
+    state = evaluator.state_dict()
     del state["sampling"]
-    Evaluator(policy, 2, seed=1).load_state(state)
+    Evaluator(policy, 2, seed=1).load_state_dict(state)
 
 
 # Jobs
@@ -210,7 +210,7 @@ def test_a_serial_run_with_both_modes_goes_on_exactly(kind: str, tmp_path: Path)
         whole.round()
     for _ in range(4):
         first.round()
-    second.load_state(first.state())
+    second.load_state_dict(first.state_dict())
     for _ in range(4):
         second.round()
     assert rows(second) == rows(whole) != []

@@ -125,7 +125,7 @@ def test_a_serial_training_writes_them(tmp_path: Path) -> None:
     from t4nmtd_dist.cli.commands import Train
 
     run = tmp_path / "run"
-    flags = ["ppo.worlds=4", "ppo.rollout=8", "ppo.epochs=1", "learner.hidden=[8]", "evaluation.every=10"]
+    flags = ["ppo.num_envs=4", "ppo.rollout=8", "ppo.epochs=1", "learner.hidden=[8]", "evaluation.every=10"]
     command = Train(task="task7", run_dir=run, serial=True, max_interactions=200, set=flags, tensorboard="on")
     assert command.run() == 3
     assert {path.name for path in (run / "tensorboard").iterdir()} >= {"p1", "p2", "p3", "g"}

@@ -1,4 +1,4 @@
-"""Replay of letters: n-step returns against a slow reference, steps before successes, and an exact round trip."""
+"""Replay of symbols: n-step returns against a slow reference, steps before successes, and an exact round trip."""
 
 from __future__ import annotations
 
@@ -27,8 +27,8 @@ class Automaton:
 
     @classmethod
     def drawn(cls, rng: np.random.Generator) -> Automaton:
-        states, letters = rng.integers(2, 6), rng.integers(1, 4)
-        delta = rng.integers(states, size=(states, letters)).astype(np.int32)
+        states, symbols = rng.integers(2, 6), rng.integers(1, 4)
+        delta = rng.integers(states, size=(states, symbols)).astype(np.int32)
         stays = rng.random(delta.shape) < 0.6  # long stays, so that returns are long too
         delta = np.where(stays, np.arange(states)[:, None], delta).astype(np.int32)
         kind = rng.choice(3, size=states, p=(0.6, 0.2, 0.2))
@@ -42,7 +42,7 @@ class Step:
     """One step of one copy; ``number`` is what its observations hold, never the same twice."""
 
     number: int
-    letter: int
+    symbol: int
     terminated: bool
     ended: bool
     reached: bool
@@ -79,11 +79,11 @@ class History:
                     rows.add(self.row(s, copy))
         return rows
 
-    def add(self, rng: np.random.Generator, letters: int, *, end: float) -> None:
+    def add(self, rng: np.random.Generator, symbols: int, *, end: float) -> None:
         count, t = self.count, len(self.steps)
         ended = rng.random(count) < end
         terminated, reached = ended & (rng.random(count) < 0.4), ended & (rng.random(count) < 0.4)
-        numbers, read = t * count + np.arange(count), rng.integers(letters, size=count)
+        numbers, read = t * count + np.arange(count), rng.integers(symbols, size=count)
         observations = np.repeat(numbers[:, None], SIZE, axis=1).astype(np.float32)
         actions = rng.uniform(-1, 1, (count, ACTIONS)).astype(np.float32)
         self.experience.add(
@@ -94,11 +94,11 @@ class History:
 
 
 def history(
-    rng: np.random.Generator, steps: int, *, capacity: int, count: int, letters: int, end: float = 0.2
+    rng: np.random.Generator, steps: int, *, capacity: int, count: int, symbols: int, end: float = 0.2
 ) -> History:
     made = History(Experience(capacity, count, SIZE, ACTIONS), capacity)
     for _ in range(steps):
-        made.add(rng, letters, end=end)
+        made.add(rng, symbols, end=end)
     return made
 
 
@@ -109,8 +109,8 @@ def expected_return(
     tables, total = automaton.tables, 0.0
     for k in range(n):
         step = past.steps[t + k][copy]
-        q_next = int(automaton.delta[q, step.letter])
-        total += gamma**k * float(tables.reward[q, q_next] - step.terminated * tables.kept_potential[q_next])
+        q_next = int(automaton.delta[q, step.symbol])
+        total += gamma**k * float(tables.reward[q, q_next] - step.terminated * tables.carried_potential[q_next])
         if q_next != q or step.ended or t + k + 1 == len(past.steps):
             break
     over = bool(tables.accepting[q_next] or tables.error[q_next] or step.terminated)
@@ -135,8 +135,8 @@ def test_returns_are_those_of_a_slow_reference_in_whatever_state_they_are_read(
 ) -> None:
     rng = np.random.default_rng(seed)
     automaton = Automaton.drawn(rng)
-    states, letters = automaton.delta.shape
-    past = history(rng, steps, capacity=capacity, count=count, letters=letters, end=end)
+    states, symbols = automaton.delta.shape
+    past = history(rng, steps, capacity=capacity, count=count, symbols=symbols, end=end)
     places = past.stored()
     rows = np.array([past.row(t, copy) for t, copy in places])
     q = rng.integers(states, size=len(rows)).astype(np.int32)
@@ -163,22 +163,22 @@ CHAIN = Automaton(
         accepting=np.array([False, False, True, False]),
         error=np.array([False, False, False, True]),
         reward=REWARD,
-        kept_potential=np.array([0.25, 0.0, 0.0, 0.0]),
+        carried_potential=np.array([0.25, 0.0, 0.0, 0.0]),
     ),
 )
 
 
 def chain_returns(
-    letters: list[int], *, n: int, ends: tuple[int, ...] = (), terminations: tuple[int, ...] = ()
+    symbols: list[int], *, n: int, ends: tuple[int, ...] = (), terminations: tuple[int, ...] = ()
 ) -> Returns:
     """Returns with gamma 0.5 of all steps of one copy, read in state 0."""
     experience = Experience(20, 1, SIZE, ACTIONS)
-    for t, letter in enumerate(letters):
+    for t, symbol in enumerate(symbols):
         observations, actions = np.full((1, SIZE), t, np.float32), np.zeros((1, ACTIONS), np.float32)
         terminated, ended = np.array([t in terminations]), np.array([t in ends or t in terminations])
-        read, q, reached = np.array([letter]), np.zeros(1, np.int32), np.zeros(1, np.bool_)
+        read, q, reached = np.array([symbol]), np.zeros(1, np.int32), np.zeros(1, np.bool_)
         experience.add(observations, q, actions, read, observations, terminated, ended, reached)
-    rows = np.arange(len(letters))
+    rows = np.arange(len(symbols))
     return experience.returns(rows, np.zeros(len(rows), np.int32), CHAIN.tables, CHAIN.delta, 0.5, n)
 
 
@@ -190,9 +190,9 @@ def test_a_return_stops_where_the_state_changes_and_the_value_there_is_the_peers
     assert found.boundary.tolist() == [True, True, False, False]
 
 
-@pytest.mark.parametrize(("letter", "gain"), [(ACCEPT, 100.0), (FAIL, -5.0)])
-def test_acceptance_and_errors_are_worth_nothing_and_nobodys(letter: int, gain: float) -> None:
-    found = chain_returns([STAY, letter, STAY], n=4, ends=(1,))
+@pytest.mark.parametrize(("symbol", "gain"), [(ACCEPT, 100.0), (FAIL, -5.0)])
+def test_acceptance_and_errors_are_worth_nothing_and_nobodys(symbol: int, gain: float) -> None:
+    found = chain_returns([STAY, symbol, STAY], n=4, ends=(1,))
     assert found.reward[:2].tolist() == [1 + gain / 2, gain]
     assert found.discount[:2].tolist() == [0, 0]
     assert not found.boundary.any()
@@ -230,9 +230,9 @@ def test_steps_before_successes_are_those_of_the_attempt_that_are_still_there(
     seed: int, steps: int, capacity: int, count: int, end: float
 ) -> None:
     rng = np.random.default_rng(seed)
-    past = history(rng, steps, capacity=capacity, count=count, letters=2, end=end)
+    past = history(rng, steps, capacity=capacity, count=count, symbols=2, end=end)
     expected = past.before_success()
-    assert sorted(past.experience.state()["before_success"]) == sorted(expected)
+    assert sorted(past.experience.state_dict()["before_success"]) == sorted(expected)
     rows = past.experience.sample(20, 1.0, rng)
     stored = {past.row(t, copy) for t, copy in past.stored()}
     assert set(rows.tolist()) <= (expected or stored)
@@ -240,7 +240,7 @@ def test_steps_before_successes_are_those_of_the_attempt_that_are_still_there(
 
 def test_a_share_of_a_batch_comes_from_before_successes_and_the_rest_from_everywhere() -> None:
     rng = np.random.default_rng(0)
-    past = history(rng, 300, capacity=200, count=2, letters=2, end=0.02)
+    past = history(rng, 300, capacity=200, count=2, symbols=2, end=0.02)
     special, all_rows = past.before_success(), len(past.experience)
     assert 0 < len(special) < all_rows
     rows = past.experience.sample(8000, 0.25, rng)
@@ -254,7 +254,7 @@ def test_a_share_of_a_batch_comes_from_before_successes_and_the_rest_from_everyw
 
 def test_without_successes_all_rows_are_drawn_from_what_is_filled() -> None:
     rng = np.random.default_rng(0)
-    past = history(rng, 7, capacity=50, count=2, letters=2, end=0.0)
+    past = history(rng, 7, capacity=50, count=2, symbols=2, end=0.0)
     assert set(past.experience.sample(1000, 0.5, rng).tolist()) == set(range(14))
 
 
@@ -280,7 +280,7 @@ def test_a_set_of_rows_holds_what_a_set_would(changes: list[tuple[bool, set[int]
 
 
 def frozen(experience: Experience) -> dict[str, NDArray[Any]]:
-    return {name: array.copy() for name, array in experience.state().items()}
+    return {name: array.copy() for name, array in experience.state_dict().items()}
 
 
 def equal(a: dict[str, NDArray[Any]], b: dict[str, NDArray[Any]]) -> bool:
@@ -292,21 +292,21 @@ def equal(a: dict[str, NDArray[Any]], b: dict[str, NDArray[Any]]) -> bool:
 @given(seed=seeds, steps=st.integers(0, 40), capacity=st.integers(1, 25), count=st.integers(1, 3))
 def test_what_was_stored_and_loaded_goes_on_in_the_same_way(seed: int, steps: int, capacity: int, count: int) -> None:
     rng = np.random.default_rng(seed)
-    first = history(rng, steps, capacity=capacity, count=count, letters=3)
+    first = history(rng, steps, capacity=capacity, count=count, symbols=3)
     second = History(Experience(capacity, count, SIZE, ACTIONS), capacity, list(first.steps))
     second.experience.load(frozen(first.experience))
-    assert equal(first.experience.state(), second.experience.state())
+    assert equal(first.experience.state_dict(), second.experience.state_dict())
     for past in (first, second):
-        dice = np.random.default_rng(7)
+        rng = np.random.default_rng(7)
         for _ in range(30):
-            past.add(dice, 3, end=0.1)
-    assert equal(first.experience.state(), second.experience.state())
+            past.add(rng, 3, end=0.1)
+    assert equal(first.experience.state_dict(), second.experience.state_dict())
     draws = [past.experience.sample(50, 0.5, np.random.default_rng(8)) for past in (first, second)]
     assert np.array_equal(*draws)
 
 
 @pytest.mark.parametrize(("capacity", "count", "size"), [(8, 2, SIZE), (10, 3, SIZE), (10, 2, SIZE + 1)])
 def test_a_replay_of_another_size_is_refused(capacity: int, count: int, size: int) -> None:
-    past = history(np.random.default_rng(0), 12, capacity=10, count=2, letters=2)
+    past = history(np.random.default_rng(0), 12, capacity=10, count=2, symbols=2)
     with pytest.raises(RunError, match="has shape"):
-        Experience(capacity, count, size, ACTIONS).load(past.experience.state())
+        Experience(capacity, count, size, ACTIONS).load(past.experience.state_dict())

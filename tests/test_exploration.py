@@ -139,7 +139,7 @@ def test_a_saved_exploration_goes_on_as_it_was() -> None:
     first.begin(everywhere(50), 0.2)
     for _ in range(7):
         first.drive(policy)
-    second.load_state(first.state())
+    second.load_state_dict(first.state_dict())
     second._rng.bit_generator.state = first._rng.bit_generator.state
     for _ in range(30):
         assert np.array_equal(first.drive(policy), second.drive(policy))

@@ -141,8 +141,8 @@ def test_the_snapshot_holds_the_warm_start_without_which_the_future_differs() ->
         cold = env.get_state()
         cold[X + 18 : X + 27] = 0
         without.set_state(cold)
-        for world in (env, whole, without):
-            run(world, actions[start : start + 10])
+        for each in (env, whole, without):
+            run(each, actions[start : start + 10])
         assert np.array_equal(env.get_state(), whole.get_state())
         differing += not np.array_equal(env.get_state(), without.get_state())
     assert differing > 0
@@ -151,8 +151,8 @@ def test_the_snapshot_holds_the_warm_start_without_which_the_future_differs() ->
 def test_rendering_leaves_the_future_alone() -> None:
     drawn, plain = HalfCheetahEnv(render_mode="rgb_array"), HalfCheetahEnv()
     actions = np.random.default_rng(1).uniform(-1, 1, (10, 6))
-    for world in (drawn, plain):
-        world.reset(seed=3)
+    for env in (drawn, plain):
+        env.reset(seed=3)
     for action in actions:
         drawn.render()
         run(drawn, [action])

@@ -15,7 +15,7 @@ from test_semantics import formula_texts
 
 from t4nmtd_dist.automata.dfa import DFA
 from t4nmtd_dist.automata.formula import names_in_order
-from t4nmtd_dist.automata.reduction import allowed_letters, reduce_automaton
+from t4nmtd_dist.automata.reduction import allowed_symbols, reduce_automaton
 from t4nmtd_dist.automata.translate import translate
 from t4nmtd_dist.core.config import DecompositionConfig, TaskConfig, task_config
 from t4nmtd_dist.core.errors import ConfigError, FormulaError
@@ -152,16 +152,16 @@ def test_every_state_keeps_a_way_to_acceptance(
 def assert_left_out_never_help(
     dfa: DFA, every: Decomposition, kept: Decomposition, exclusive: tuple[tuple[str, ...], ...]
 ) -> None:
-    """Whatever a left-out literal reaches, the letter without it comes at least as near to acceptance."""
+    """Whatever a left-out literal reaches, the symbol without it comes at least as near to acceptance."""
     dist = distances_over(every.transitions, reduce_automaton(dfa, exclusive).accepting, dfa.states)
-    allowed = allowed_letters(dfa, exclusive)
+    allowed = allowed_symbols(dfa, exclusive)
     for pid in set(kept.left_out) - {"tick"}:
-        bit = dfa.letter([pid.removeprefix("~")])
+        bit = dfa.symbol([pid.removeprefix("~")])
         for q, target in every.subtasks[pid]:
-            for letter in np.flatnonzero(dfa.letters(q, target) & allowed):
-                if bool(letter & bit) == pid.startswith("~") or not allowed[letter ^ bit]:
+            for symbol in np.flatnonzero(dfa.symbols(q, target) & allowed):
+                if bool(symbol & bit) == pid.startswith("~") or not allowed[symbol ^ bit]:
                     continue
-                assert dist[target] >= dist[q] or dist[int(dfa.delta[q, letter ^ bit])] <= dist[target]
+                assert dist[target] >= dist[q] or dist[int(dfa.delta[q, symbol ^ bit])] <= dist[target]
 
 
 def distances_over(transitions: tuple[tuple[int, int], ...], accepting: frozenset[int], states: int) -> list[float]:

@@ -23,7 +23,7 @@ import workers
 from coordinator.bulletin import Bulletin
 from t4nmtd_dist.cli import programs
 from t4nmtd_dist.core.config import EnvironmentConfig
-from t4nmtd_dist.core.errors import WorldError
+from t4nmtd_dist.core.errors import EnvError
 from t4nmtd_dist.environments.opening import import_function, open_environment
 from t4nmtd_dist.tasks import load_task
 
@@ -263,7 +263,7 @@ def test_an_import_that_ours_answers_is_explained(line: str, tmp_path: Path) -> 
     (tmp_path / "envs" / "office.py").write_text(OFFICE, encoding="utf-8")
     module = f"uses_office_{abs(hash(line))}"
     (tmp_path / f"{module}.py").write_text(f"{line}\nmake = None\n", encoding="utf-8")
-    with pytest.raises(WorldError, match=r"envs is a package of t4nmtd-dist here.*rename"):
+    with pytest.raises(EnvError, match=r"envs is a package of t4nmtd-dist here.*rename"):
         open_environment(environment(tmp_path, f"{module}:make"))
 
 

@@ -22,7 +22,7 @@ from t4nmtd_dist.policy.global_policy import load
 
 POLICIES = sorted(path for path in (BENCHMARKS / "policies").glob("*") if path.is_dir())
 EPISODES, FRESH_SEED = 10, 987_654
-RANDOM_RESETS = "HalfCheetah"  # one of ten episodes may fail there; all other worlds begin in one state
+RANDOM_RESETS = "HalfCheetah"  # one of ten episodes may fail there; all other environments begin in one state
 MOST_BYTES = 2_000_000
 
 

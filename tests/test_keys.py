@@ -390,7 +390,7 @@ def test_a_revoked_key_loses_its_connection_and_its_lease(running: Running) -> N
     assert granted.epoch == 2
     reply = asked(kept, sync(pid="p2"))
     assert isinstance(reply, SyncReply)
-    assert {pid: peer.key for pid, peer in reply.peers.items()} == {}  # the heir has given no endpoint
+    assert {pid: peer.key for pid, peer in reply.peers.items()} == {}  # the successor has given no endpoint
     assert isinstance(asked(other, sync(epoch=2)), SyncReply)
 
 

@@ -41,7 +41,7 @@ id = "own_environments:Offset"
 path = "{HERE}"
 horizon = 30
 """
-SMALL = (*TINY, "sac.worlds=2", "sac.batch=16", "sac.learning_starts=20", "sac.replay_rows=200")
+SMALL = (*TINY, "sac.num_envs=2", "sac.batch=16", "sac.learning_starts=20", "sac.replay_rows=200")
 DRAWS = 1000
 WORLDS = ("Offset", "Pushed")  # learned by PPO and by SAC
 
@@ -286,13 +286,13 @@ def test_a_resumed_run_is_equal_bit_for_bit(name: str, tmp_path: Path) -> None:
     first = SerialRun(task, RunSettings(0, 10**9), float)
     for _ in range(3):
         first.round()
-    write_checkpoint(tmp_path / "kept", {}, first.state())
+    write_checkpoint(tmp_path / "kept", {}, first.state_dict())
     for _ in range(3):
         first.round()
     second = SerialRun(task, RunSettings(0, 10**9), float)
     kept = newest_checkpoint(tmp_path / "kept", lambda _: True, pytest.fail)
     assert kept is not None
-    second.load_state(kept.state)
+    second.load_state_dict(kept.state)
     for _ in range(3):
         second.round()
     for pid, session in first.sessions.items():

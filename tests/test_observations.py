@@ -14,8 +14,8 @@ from hypothesis import strategies as st
 from own_environments import LEFT, LENGTH
 
 from t4nmtd_dist.core.config import EnvironmentConfig
-from t4nmtd_dist.core.errors import WorldError
-from t4nmtd_dist.environments.batched import make_world
+from t4nmtd_dist.core.errors import EnvError
+from t4nmtd_dist.environments.batched import make_env
 from t4nmtd_dist.environments.observation_range import ObservationRange
 from t4nmtd_dist.environments.observations import flattener
 from t4nmtd_dist.tasks import load_task, task_names
@@ -80,12 +80,12 @@ def test_pictures_and_large_numbers_stay_numbers(space: Any) -> None:
 @pytest.mark.parametrize("value", [[0, 12], [-1, 0], [0.5, 0]])
 def test_a_number_that_its_space_does_not_hold_is_named(value: list[float]) -> None:
     flat = flattener(spaces.Dict(pos=spaces.Box(0, 11, (2,), np.int64)))
-    with pytest.raises(WorldError, match=r"observation\['pos'\].*which is not in 0\.\.11"):
+    with pytest.raises(EnvError, match=r"observation\['pos'\].*which is not in 0\.\.11"):
         flat.flatten({"pos": np.array(value)})
 
 
 def test_a_wrong_number_of_numbers_is_named() -> None:
-    with pytest.raises(WorldError, match=r"3 numbers.* expected 2"):
+    with pytest.raises(EnvError, match=r"3 numbers.* expected 2"):
         flattener(spaces.MultiDiscrete([2, 3])).flatten(np.array([0, 1, 2]))
 
 
@@ -111,19 +111,19 @@ def test_the_packages_own_observations_are_numbers_as_ever() -> None:
 
 
 def test_entries_that_cannot_be_used_are_named_with_how_to_leave_them_out() -> None:
-    with pytest.raises(WorldError, match=r"observation\['mission'\] space Text.*leave_out = \[\"mission\"\]"):
+    with pytest.raises(EnvError, match=r"observation\['mission'\] space Text.*leave_out = \[\"mission\"\]"):
         flattener(MINIGRID)
     two = spaces.Dict(a=spaces.Text(3), b=spaces.Discrete(2), c=spaces.Dict(d=spaces.Discrete(2)))
-    with pytest.raises(WorldError, match=r"leave_out = \[\"a\", \"c\"\]"):
+    with pytest.raises(EnvError, match=r"leave_out = \[\"a\", \"c\"\]"):
         flattener(two)
 
 
 def test_the_labelling_function_sees_what_was_left_out() -> None:
     labels = "own_environments:missions_ends"
-    world = make_world(environment("Missions", labels=labels, leave_out=("mission",)), 1, ("left", "right"))
-    assert world.observation_size == 4 + 3 * LENGTH
-    world.reset(ONE, 0)
-    assert [world.step(np.array([LEFT])).labels[0].tolist() for _ in range(3)][-1] == [True, False]
+    env = make_env(environment("Missions", labels=labels, leave_out=("mission",)), 1, ("left", "right"))
+    assert env.observation_size == 4 + 3 * LENGTH
+    env.reset(ONE, 0)
+    assert [env.step(np.array([LEFT])).labels[0].tolist() for _ in range(3)][-1] == [True, False]
 
 
 @pytest.mark.parametrize(
@@ -135,14 +135,14 @@ def test_the_labelling_function_sees_what_was_left_out() -> None:
     ],
 )
 def test_leaving_out_what_is_not_there_is_an_error(name: str, left_out: tuple[str, ...], message: str) -> None:
-    with pytest.raises(WorldError, match=message):
-        make_world(environment(name, leave_out=left_out), 1, ("left", "right"))
+    with pytest.raises(EnvError, match=message):
+        make_env(environment(name, leave_out=left_out), 1, ("left", "right"))
 
 
 def test_the_packages_own_worlds_have_nothing_to_leave_out() -> None:
     config = load_task("task7", flags=['environment.leave_out=["mission"]']).environment
-    with pytest.raises(WorldError, match="the observation is no Dict"):
-        make_world(config, 1)
+    with pytest.raises(EnvError, match="the observation is no Dict"):
+        make_env(config, 1)
 
 
 def test_too_many_categories_stay_numbers_and_are_warned_of() -> None:

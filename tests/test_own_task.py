@@ -19,14 +19,14 @@ from small_tasks import TINY, own_task
 
 from coordinator.state import RunSettings
 from t4nmtd_dist.core.config import EnvironmentConfig, task_config
-from t4nmtd_dist.core.errors import WorldError
+from t4nmtd_dist.core.errors import EnvError
 from t4nmtd_dist.environments import restoring
-from t4nmtd_dist.environments.batched import make_world
+from t4nmtd_dist.environments.batched import make_env
 from t4nmtd_dist.environments.opening import import_module
 from t4nmtd_dist.environments.preparation import prepared
 from t4nmtd_dist.launch.serial import SerialRun
 from t4nmtd_dist.method.compiled import CompiledTask, compile_task
-from t4nmtd_dist.method.rewards import LetterReader
+from t4nmtd_dist.method.rewards import SymbolReader
 from t4nmtd_dist.tasks import is_bundled, load_task
 
 ROOT = Path(__file__).parent.parent
@@ -82,21 +82,21 @@ def test_further_folders_are_searched_after_the_task_files_own(path: str, tmp_pa
     assert import_module(f"everywhere_{tmp_path.name}", config).WHERE == "task"
     for name in given:
         assert name == import_module(f"only_in_{name}_{tmp_path.name}", config).WHERE
-    with pytest.raises(WorldError, match=r"no module 'no_such' in .*task.*nor among what is installed"):
+    with pytest.raises(EnvError, match=r"no module 'no_such' in .*task.*nor among what is installed"):
         import_module("no_such", config)
 
 
 def test_random_actions_hardly_ever_succeed() -> None:
     task, count = example(), 100
-    world = make_world(task.config.environment, count, task.config.propositions)
-    reader, rng = LetterReader(task.dfa, world.propositions), np.random.default_rng(0)
+    env = make_env(task.config.environment, count, task.config.propositions)
+    reader, rng = SymbolReader(task.dfa, env.propositions), np.random.default_rng(0)
     accepted = []
     for episode in range(2):
-        world.reset(np.arange(count), 1000 * episode)
+        env.reset(np.arange(count), 1000 * episode)
         q, over = np.full(count, task.dfa.initial), np.zeros(count, np.bool_)
         for _ in range(task.config.environment.horizon):
-            step = world.step(rng.integers(3, size=count))
-            q = np.where(over, q, task.dfa.delta[q, reader.letters(step.labels)])
+            step = env.step(rng.integers(3, size=count))
+            q = np.where(over, q, task.dfa.delta[q, reader.symbols(step.labels)])
             over |= step.terminated
         accepted.append(np.isin(q, list(task.dfa.accepting)).mean())
     assert np.mean(accepted) <= 0.05
@@ -106,26 +106,26 @@ def test_a_worker_elsewhere_goes_on_where_another_arrived(tmp_path: Path) -> Non
     """Another process, in another folder, that knows only what the coordinator sends it."""
     config = prepared(example()).config
     assert config.environment.snapshots == "attributes"
-    world = make_world(config.environment, 1, config.propositions)
-    world.reset(ONE, 3)
+    env = make_env(config.environment, 1, config.propositions)
+    env.reset(ONE, 3)
     for _ in range(4):
-        world.step(np.array([0]))
-    (state,) = world.snapshot(ONE)
+        env.step(np.array([0]))
+    (state,) = env.snapshot(ONE)
     sent = json.dumps({"task": config.to_dict(), "state": state.tolist()})
     code = """
 import json, sys
 import numpy as np
 from t4nmtd_dist.core.config import task_config
-from t4nmtd_dist.environments.batched import make_world
+from t4nmtd_dist.environments.batched import make_env
 sent = json.load(sys.stdin)
 config = task_config(sent["task"])
-world = make_world(config.environment, 1, config.propositions)
-world.restore(np.array([0]), [np.array(sent["state"], np.uint8)])
-print(json.dumps([world.step(np.array([2])).observations.tolist() for _ in range(5)]))
+environment = make_env(config.environment, 1, config.propositions)
+environment.restore(np.array([0]), [np.array(sent["state"], np.uint8)])
+print(json.dumps([environment.step(np.array([2])).observations.tolist() for _ in range(5)]))
 """
     done = subprocess.run([sys.executable, "-c", code], input=sent, capture_output=True, text=True, cwd=tmp_path)
     assert done.returncode == 0, done.stderr
-    assert json.loads(done.stdout) == [world.step(np.array([2])).observations.tolist() for _ in range(5)]
+    assert json.loads(done.stdout) == [env.step(np.array([2])).observations.tolist() for _ in range(5)]
 
 
 def test_all_roles_work_on_the_example_in_lock_step() -> None:
@@ -207,7 +207,7 @@ def test_what_is_wrong_is_found_before_a_run(
     monkeypatch.setattr(own_environments, "Broken", Broken, raising=False)
     text = BROKEN.replace(old, new)
     text = text if new else text.replace("Corridor", "Broken")
-    with pytest.raises(WorldError, match=message):
+    with pytest.raises(EnvError, match=message):
         prepared(compile_task(load_task(str(own_task(tmp_path, text))), translator="python"))
 
 
@@ -220,7 +220,7 @@ propositions = ["p1", "ship"]
 id = "envs:t4nmtd/FrozenLake-v0"
 horizon = 100
 """
-    with pytest.raises(WorldError, match="'ship', which the environment does not report; it reports p1, p2, p3, g"):
+    with pytest.raises(EnvError, match="'ship', which the environment does not report; it reports p1, p2, p3, g"):
         prepared(compile_task(load_task(str(own_task(tmp_path, text))), translator="python"))
 
 
@@ -233,7 +233,7 @@ def test_the_packages_own_tasks_are_not_checked_at_every_start(monkeypatch: pyte
     assert prepared(task) is task
     changed = load_task("task7", flags=["environment.horizon=10"])
     assert not is_bundled(changed)
-    with pytest.raises(WorldError, match="checked"):
+    with pytest.raises(EnvError, match="checked"):
         prepared(compile_task(changed, translator="python"))
 
 
@@ -248,7 +248,7 @@ def test_the_packages_own_tasks_are_not_checked_at_every_start(monkeypatch: pyte
 def test_the_packages_own_tasks_are_checked_if_changed_in_what_they_need(
     name: str, flags: list[str], message: str
 ) -> None:
-    with pytest.raises(WorldError, match=message):
+    with pytest.raises(EnvError, match=message):
         prepared(compile_task(load_task(name, flags=flags), translator="python"))
 
 
@@ -268,4 +268,4 @@ print([name for name in ("torch", "gymnasium") if name in sys.modules])
 def test_workers_get_the_choice_and_make_none_of_their_own(monkeypatch: pytest.MonkeyPatch) -> None:
     environment: EnvironmentConfig = prepared(example()).config.environment
     monkeypatch.setattr(restoring, "choose_snapshots", None)
-    assert make_world(environment, 2, ("left", "flag", "wall")).count == 2
+    assert make_env(environment, 2, ("left", "flag", "wall")).count == 2

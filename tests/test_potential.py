@@ -25,7 +25,7 @@ def task(name: str) -> tuple[DFA, list[list[str]]]:
 
 
 def complete_graph(states: int) -> DFA:
-    """Every state but the last, accepting one can go to every other; letters beyond that stay."""
+    """Every state but the last, accepting one can go to every other; symbols beyond that stay."""
     bits = (states - 1).bit_length()
     delta = np.array([[a if a < states else q for a in range(1 << bits)] for q in range(states)], dtype=np.int32)
     delta[-1] = states - 1
@@ -100,17 +100,17 @@ def automata(draw: st.DrawFn) -> DFA:
 @given(automata(), st.sampled_from([(), (("a", "b"),)]))
 def test_shortest_distance_obeys_its_own_equation(dfa: DFA, exclusive: tuple[tuple[str, ...], ...]) -> None:
     dist, mean = distances(dfa, exclusive=exclusive), distances(dfa, exclusive=exclusive, mode="mean")
-    letters = [0, 1, 2] if exclusive else [0, 1, 2, 3]
+    symbols = [0, 1, 2] if exclusive else [0, 1, 2, 3]
     reached = {0}
     for _ in range(dfa.states):
-        reached |= {int(dfa.delta[q, a]) for q in reached for a in letters}
+        reached |= {int(dfa.delta[q, a]) for q in reached for a in symbols}
     for q in range(dfa.states):
         if q not in reached:
             assert math.isinf(dist[q])
         elif q in dfa.accepting:
             assert dist[q] == 0
         else:
-            assert dist[q] == 1 + min(dist[int(dfa.delta[q, a])] for a in letters)
+            assert dist[q] == 1 + min(dist[int(dfa.delta[q, a])] for a in symbols)
         assert mean[q] >= dist[q]
         assert math.isinf(mean[q]) == math.isinf(dist[q])
     rho = potentials(dfa, dist)

@@ -357,7 +357,7 @@ def test_a_worker_that_slept_through_its_lease_goes_on_or_gives_way(processes: P
     assert "p1 heard again" in events(run)
     sleeper.send(signal.SIGSTOP)
     lost = processes.until_state(run, lambda state: rows(state)["p1"].phase == "lost", "p1 is lost again")
-    heir = processes.worker(run, "--pid", "p1", "--instance", "heir")
+    successor = processes.worker(run, "--pid", "p1", "--instance", "heir")
     processes.until_state(run, lambda state: state.interactions > lost.interactions, "the heir learns p1")
     sleeper.send(signal.SIGCONT)
     assert sleeper.wait(END_S) == 2
@@ -365,7 +365,7 @@ def test_a_worker_that_slept_through_its_lease_goes_on_or_gives_way(processes: P
     heard = processes.until_state(run, lambda state: True, "a state").interactions
     processes.until_state(run, lambda state: state.interactions > heard, "the heir goes on")
     coordinator.send(signal.SIGINT)
-    assert [coordinator.wait(END_S), heir.wait(END_S)] == [130, 0]
+    assert [coordinator.wait(END_S), successor.wait(END_S)] == [130, 0]
 
 
 def test_a_closed_terminal_ends_worker_and_coordinator_in_good_order(processes: Processes) -> None:

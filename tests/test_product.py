@@ -10,10 +10,10 @@ from small_tasks import small_task
 
 from t4nmtd_dist.automata.dfa import DFA
 from t4nmtd_dist.core.config import Shaping
-from t4nmtd_dist.core.errors import WorldError
+from t4nmtd_dist.core.errors import EnvError
 from t4nmtd_dist.method.compiled import CompiledTask, compile_task
 from t4nmtd_dist.method.decomposition import Decomposition
-from t4nmtd_dist.method.rewards import LetterReader, SubtaskTables, subtask_tables
+from t4nmtd_dist.method.rewards import SubtaskTables, SymbolReader, subtask_tables
 from t4nmtd_dist.tasks import load_task
 
 GAMMA = 0.9
@@ -90,8 +90,8 @@ def test_masks_say_what_the_automaton_says(name: str) -> None:
 
 
 @settings(max_examples=80)
-@given(letters=st.lists(st.integers(0, 15), min_size=1, max_size=30), ends=st.booleans())
-def test_potential_shaping_telescopes_on_every_walk(letters: list[int], ends: bool) -> None:
+@given(symbols=st.lists(st.integers(0, 15), min_size=1, max_size=30), ends=st.booleans())
+def test_potential_shaping_telescopes_on_every_walk(symbols: list[int], ends: bool) -> None:
     """The discounted sum is that of the bare rewards less rho at the start, however the walk ends.
 
     What is left over at the end of an unfinished walk is gamma^n rho there, which the critic's value holds.
@@ -100,13 +100,13 @@ def test_potential_shaping_telescopes_on_every_walk(letters: list[int], ends: bo
     made = tables(task, "p1", "potential")
     q, total, bare, weight = task.dfa.initial, 0.0, 0.0, 1.0
     start = float(task.rho[q])
-    for step, letter in enumerate(letters):
-        q_next = int(task.dfa.delta[q, letter])
+    for step, symbol in enumerate(symbols):
+        q_next = int(task.dfa.delta[q, symbol])
         total += weight * made.reward[q, q_next]
         bare += weight * 100.0 * (q_next in task.dfa.accepting)
         over = q_next in task.terminal
-        if ends and not over and step == len(letters) - 1:
-            total -= weight * made.kept_potential[q_next]  # the environment ended here
+        if ends and not over and step == len(symbols) - 1:
+            total -= weight * made.carried_potential[q_next]  # the environment ended here
         weight *= GAMMA
         q = q_next
         if over:
@@ -117,7 +117,7 @@ def test_potential_shaping_telescopes_on_every_walk(letters: list[int], ends: bo
 
 @pytest.mark.parametrize("shaping", ["paper", "subtask"])
 def test_only_potential_shaping_takes_anything_off_where_the_environment_ends(shaping: Shaping) -> None:
-    assert not tables(small_task(), "p1", shaping).kept_potential.any()
+    assert not tables(small_task(), "p1", shaping).carried_potential.any()
 
 
 def test_nothing_but_the_reward_depends_on_the_shaping() -> None:
@@ -127,12 +127,12 @@ def test_nothing_but_the_reward_depends_on_the_shaping() -> None:
         assert all(np.array_equal(getattr(made[0], name), getattr(other, name)) for other in made)
 
 
-# Letters
+# Symbols
 
 
 @st.composite
 def worlds_and_formulas(draw: st.DrawFn) -> tuple[DFA, tuple[str, ...]]:
-    """A world's propositions in any order, and an automaton over some of them."""
+    """An environment's propositions in any order, and an automaton over some of them."""
     names = draw(st.permutations(["z", "a", "m", "g1", "g2"]))
     used = tuple(sorted(draw(st.sets(st.sampled_from(names), min_size=1))))
     return DFA(used, np.zeros((1, 1 << len(used)), np.int32), frozenset()), tuple(names)
@@ -144,15 +144,15 @@ def test_letters_do_not_depend_on_the_order_of_the_columns(
     pair: tuple[DFA, tuple[str, ...]], rows: list[list[bool]]
 ) -> None:
     dfa, propositions = pair
-    letters = LetterReader(dfa, propositions).letters(np.array(rows))
-    for row, letter in zip(rows, letters, strict=True):
-        assert letter == dfa.letter(name for name, holds in zip(propositions, row, strict=True) if holds)
+    symbols = SymbolReader(dfa, propositions).symbols(np.array(rows))
+    for row, symbol in zip(rows, symbols, strict=True):
+        assert symbol == dfa.symbol(name for name, holds in zip(propositions, row, strict=True) if holds)
 
 
 def test_a_proposition_that_the_world_never_reports_is_refused_by_name() -> None:
     dfa = small_task().dfa
-    with pytest.raises(WorldError, match="'g'"):
-        LetterReader(dfa, ("p1", "p2", "p3"))
+    with pytest.raises(EnvError, match="'g'"):
+        SymbolReader(dfa, ("p1", "p2", "p3"))
 
 
 def test_a_subtask_of_ones_own_works_without_a_task() -> None:

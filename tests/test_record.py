@@ -15,7 +15,7 @@ from small_tasks import own_task
 from t4nmtd_dist.cli import record as command
 from t4nmtd_dist.cli.record import record
 from t4nmtd_dist.core.action_modes import ActionMode
-from t4nmtd_dist.core.errors import ConfigError, T4NMTDError, WorldError
+from t4nmtd_dist.core.errors import ConfigError, EnvError, T4NMTDError
 from t4nmtd_dist.environments.trusted_code import remember
 from t4nmtd_dist.method.compiled import compile_task
 from t4nmtd_dist.method.decomposition import Decomposition
@@ -154,7 +154,7 @@ def test_an_environment_that_draws_nothing_is_named(tmp_path: Path, monkeypatch:
 
     policy = exported(tmp_path)
     monkeypatch.setattr(own_environments.Corridor, "render", lambda _: None)
-    with pytest.raises(WorldError, match="drew NoneType; expected an rgb_array"):
+    with pytest.raises(EnvError, match="drew NoneType; expected an rgb_array"):
         record(policy, tmp_path / "film.gif", episodes=1, seed=0, fps=None)
     assert not (tmp_path / "film.gif").exists()
 
@@ -169,6 +169,6 @@ def test_callables_of_every_form_can_be_filmed(make: str, tmp_path: Path) -> Non
 
 def test_a_callable_that_cannot_draw_is_told_what_to_add(tmp_path: Path) -> None:
     policy = exported(tmp_path, CORRIDOR.replace("Corridor", "undrawn"))
-    with pytest.raises(WorldError, match=r"undrawn\(\) takes no keyword render_mode.* add .* and pass it on"):
+    with pytest.raises(EnvError, match=r"undrawn\(\) takes no keyword render_mode.* add .* and pass it on"):
         record(policy, tmp_path / "film.gif", episodes=1, seed=0, fps=None)
     assert not (tmp_path / "film.gif").exists()

@@ -102,7 +102,7 @@ def uninterrupted(kind: str, rounds: int) -> dict[str, Any]:
 
 
 def through_files(run: SerialRun, folder: Path) -> Any:
-    write_checkpoint(folder, {"run": 1}, run.state())
+    write_checkpoint(folder, {"run": 1}, run.state_dict())
     warnings: list[str] = []
     found = newest_checkpoint(folder, lambda about: about == {"run": 1}, warnings.append)
     assert found is not None
@@ -119,7 +119,7 @@ def test_a_run_stopped_between_rounds_goes_on_as_if_nothing_had_been(
         first.round()
     first.stop("enough")
     second = begun(kind, clock=777.0)
-    second.load_state(through_files(first, tmp_path))
+    second.load_state_dict(through_files(first, tmp_path))
     assert told(second) == told(first)
     for _ in range(after):
         second.round()
@@ -142,7 +142,7 @@ def test_a_budget_spent_in_mid_round_can_be_raised(tmp_path: Path) -> None:
     list(spent.steps())
     assert spent.coordinator.outcome == "budget spent"
     going_on = begun("ppo")
-    going_on.load_state(through_files(spent, tmp_path))
+    going_on.load_state_dict(through_files(spent, tmp_path))
     for _ in range(5):
         expected.round()
     while going_on.coordinator.interactions < expected.coordinator.interactions:
@@ -155,7 +155,7 @@ def test_a_budget_spent_in_mid_round_can_be_raised(tmp_path: Path) -> None:
     [
         ("task3", ()),  # resets are drawn by the environment's own generator
         ("task1", ("environment.options.map=random",)),  # each pond has a generator of its own
-        ("task8", ("ppo.worlds=3", "ppo.rollout=8")),
+        ("task8", ("ppo.num_envs=3", "ppo.rollout=8")),
     ],
 )
 def test_worlds_go_on_with_the_same_chance(kind: str, flags: tuple[str, ...]) -> None:
@@ -177,12 +177,12 @@ def test_worlds_go_on_with_the_same_chance(kind: str, flags: tuple[str, ...]) ->
                 else rng.uniform(-1, 1, (count, 6 if kind == "task3" else 2))
             )
             step = going.step(actions.astype(np.float32) if kind != "task8" else actions)
-            seen += [step.next_observations.tobytes(), going.observations.tobytes(), step.letters.tobytes()]
+            seen += [step.next_observations.tobytes(), going.observations.tobytes(), step.symbols.tobytes()]
         return seen
 
     first, second = attempts(), attempts()
     course(first)
-    second.load_state(joined(*split(copied(first.state()))))
+    second.load_state_dict(joined(*split(copied(first.state_dict()))))
     assert second.observations.tobytes() == first.observations.tobytes()
     assert course(second) == course(first)
     assert second.interactions == first.interactions
@@ -342,7 +342,7 @@ class Work:
             self.session.take_reply(Envelope(sent.message, sent.arrays))
 
     def kept(self) -> Any:
-        return joined(*split(copied(self.session.state())))
+        return joined(*split(copied(self.session.state_dict())))
 
     @property
     def counted(self) -> int:

@@ -94,7 +94,7 @@ def test_what_is_stored_is_what_happened() -> None:
     assert (after[begun] != seen[begun]).any(axis=1).all()
     assert (found.observations[:count] != found.next_observations[:count]).any()
     delta = small_sac_task().dfa.delta
-    after_q = delta[found.q[: count - 2], found.letters[: count - 2]]
+    after_q = delta[found.q[: count - 2], found.symbols[: count - 2]]
     assert (after_q[~begun] == found.q[2:count][~begun]).all()
     assert (found.q[2:count][begun] == START).all()
     assert (after_q == TO_G2).any()
@@ -336,7 +336,7 @@ def test_what_a_relabelled_row_leads_to_is_computed_from_its_letter() -> None:
         found = experience.returns(
             rows, np.full(len(rows), q, np.int32), learner.batches.tables, task.dfa.delta, 0.99, 1
         )
-        assert found.q_next.tolist() == [int(task.dfa.delta[q, letter]) for letter in experience.letters[rows]]
+        assert found.q_next.tolist() == [int(task.dfa.delta[q, symbol]) for symbol in experience.symbols[rows]]
 
 
 # The entropy coefficient

@@ -23,7 +23,7 @@ from t4nmtd_dist.agents.common.peer_values import NoPeers
 from t4nmtd_dist.agents.registry import build_learner
 from t4nmtd_dist.agents.sac.agent import SACLearner
 from t4nmtd_dist.cli.check import check
-from t4nmtd_dist.core.errors import ConfigError, PolicyError, ProtocolError, WorldError
+from t4nmtd_dist.core.errors import ConfigError, EnvError, PolicyError, ProtocolError
 from t4nmtd_dist.environments.action_spaces import action_bounds
 from t4nmtd_dist.environments.preparation import check_fit
 from t4nmtd_dist.launch.serial import SerialRun
@@ -81,7 +81,7 @@ def test_two_runs_of_one_seed_are_equal_bit_for_bit(run: SerialRun) -> None:
     assert report_of(first) == report_of(second)
     learners = [run.sessions["g1"].learner for run in (first, second)]
     assert learners[0].gradient_steps == learners[1].gradient_steps > 0
-    for one, other in zip(*(learner.experience.state().values() for learner in learners), strict=True):  # type: ignore
+    for one, other in zip(*(learner.experience.state_dict().values() for learner in learners), strict=True):  # type: ignore
         assert one.tobytes() == other.tobytes()
     assert evaluations_of(first) == evaluations_of(second) != []
 
@@ -262,7 +262,7 @@ MISFITS = [
 @pytest.mark.parametrize(("name", "algorithm", "message"), MISFITS)
 def test_actions_that_a_learner_cannot_take_are_refused_by_name(name: str, algorithm: str, message: str) -> None:
     task = misfit(name, algorithm)
-    with pytest.raises(WorldError, match=message):
+    with pytest.raises(EnvError, match=message):
         build_learner(task, task.decomposition.pids[0], InitialStateBuffer(10), task.q_table(), seed=0)
 
 
@@ -273,8 +273,8 @@ def test_check_tells_so_before_a_run(
     assert check(name, steps=30, seed=0, flags=[f"learner.algorithm={algorithm}"], as_json=True) == 2
     problems = json.loads(capsys.readouterr().out)["problems"]
     assert len(problems) == 1
-    with pytest.raises(WorldError, match=message):
-        raise WorldError(problems[0])
+    with pytest.raises(EnvError, match=message):
+        raise EnvError(problems[0])
 
 
 @pytest.mark.parametrize(
@@ -291,7 +291,7 @@ def test_check_tells_so_before_a_run(
 def test_boxes_that_sac_cannot_fill_are_refused(space: spaces.Space[Any]) -> None:
     task = small_sac_task()
     check_fit(task, task.config.propositions, spaces.Box(-1, 1, (2,)))
-    with pytest.raises(WorldError, match=r"SAC needs .* has "):
+    with pytest.raises(EnvError, match=r"SAC needs .* has "):
         check_fit(task, task.config.propositions, space)
 
 

@@ -149,7 +149,7 @@ def test_a_learner_on_another_device_learns_the_same(device: str, monkeypatch: p
     for _ in range(8):
         first.iterate(NoPeers())
     for learner in (unmoved, moved):
-        learner.load_state(first.state())
+        learner.load_state_dict(first.state_dict())
         learner.iterate(NoPeers())
     assert moved.gradient_steps == unmoved.gradient_steps > first.gradient_steps
     assert type(moved.published._copy) is SACUpdater  # what answers peers is on the CPU
@@ -157,7 +157,7 @@ def test_a_learner_on_another_device_learns_the_same(device: str, monkeypatch: p
         found = learner.weights() if learner is moved else learner.weights()[0]
         for name, array in found.items():
             np.testing.assert_allclose(array, unmoved.weights()[name], rtol=1e-3, atol=1e-4, err_msg=name)
-    back.load_state(moved.state())
+    back.load_state_dict(moved.state_dict())
     assert back.iterate(NoPeers())
 
 

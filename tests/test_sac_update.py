@@ -88,13 +88,13 @@ rows = st.integers(1, 9)
 @given(shapes, rows, seeds)
 def test_evaluation_and_weight_gradients_are_those_of_autograd(shape: StackShape, rows: int, seed: int) -> None:
     stack, inputs = random_stack(shape, seed), draw(seed, rows, shape.inputs)
-    room, d_outputs = Activations(shape, rows, dtype=DOUBLE), draw(seed + 2, shape.count, shape.outputs, rows)
+    workspace, d_outputs = Activations(shape, rows, dtype=DOUBLE), draw(seed + 2, shape.count, shape.outputs, rows)
     flat = stack.flat.clone().requires_grad_()
     expected = plain_evaluation(layers_of(flat, shape), inputs)
-    torch.testing.assert_close(evaluate(stack.layers, inputs, room), expected)
+    torch.testing.assert_close(evaluate(stack.layers, inputs, workspace), expected)
     expected.backward(d_outputs)  # type: ignore[no-untyped-call]
     found = torch.zeros(flat_length(shape), dtype=DOUBLE)
-    weight_gradients(stack.layers, layers_of(found, shape), inputs, room, d_outputs)
+    weight_gradients(stack.layers, layers_of(found, shape), inputs, workspace, d_outputs)
     torch.testing.assert_close(found, flat.grad)
 
 
@@ -110,9 +110,9 @@ def test_the_gradient_of_the_actions_goes_through_the_chosen_critic_of_each_row(
     chosen = plain_evaluation(stack.layers, inputs)[:, 0].gather(0, choice[None])
     chosen.sum().backward()  # type: ignore[no-untyped-call]
     assert inputs.grad is not None
-    room = Activations(shape, rows, dtype=DOUBLE)
-    evaluate(stack.layers, inputs.detach(), room)
-    found = chosen_input_gradient(stack.layers, room, choice.numpy(), first)
+    workspace = Activations(shape, rows, dtype=DOUBLE)
+    evaluate(stack.layers, inputs.detach(), workspace)
+    found = chosen_input_gradient(stack.layers, workspace, choice.numpy(), first)
     torch.testing.assert_close(torch.from_numpy(found), inputs.grad[:, first:].t())
 
 

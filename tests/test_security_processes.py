@@ -88,14 +88,14 @@ def test_strangers_are_refused_and_a_revoked_worker_is_thrown_out(processes: Pro
     revoke(keys, "client1")
     ended_with(revoked, "refused the key of client1")
     processes.until(lambda: "p2 taken from revoked: its key was revoked" in events(run), "the lease is over")
-    heir = processes.worker(run, "--pid", "p2", "--instance", "heir", "--keys", str(client(keys, "client2")))
+    successor = processes.worker(run, "--pid", "p2", "--instance", "heir", "--keys", str(client(keys, "client2")))
     processes.until(lambda: "heir takes p2 (epoch 2)" in events(run), "p2 is held again")
 
     rows = {row.pid: row for row in status(run, keys).learners}
     assert (rows["p1"].epoch, rows["p1"].worker) == (1, "kept")
     assert kept.process.poll() is None
     coordinator.send(signal.SIGINT)
-    assert [coordinator.wait(END_S), kept.wait(END_S), heir.wait(END_S)] == [130, 0, 0]
+    assert [coordinator.wait(END_S), kept.wait(END_S), successor.wait(END_S)] == [130, 0, 0]
     refusals = [text for text in events(run) if "refused" in text or "ended the connection" in text]
     assert len(refusals) == len(set(refusals))
     assert len([text for text in refusals if "is not on the list" in text]) == 2  # the stranger's key, client1's

@@ -64,13 +64,13 @@ def holds(formula: Formula, trace: list[frozenset[str]], i: int) -> bool:
     return meaning[formula.operator]()
 
 
-def accepted(dfa: DFA, letters: NDArray[np.int64]) -> NDArray[np.bool_]:
-    """Which traces of letters over NAMES, shape (traces, length), a DFA accepts."""
-    own = np.zeros_like(letters)
+def accepted(dfa: DFA, symbols: NDArray[np.int64]) -> NDArray[np.bool_]:
+    """Which traces of symbols over NAMES, shape (traces, length), a DFA accepts."""
+    own = np.zeros_like(symbols)
     for i, name in enumerate(dfa.propositions):
-        own |= ((letters >> NAMES.index(name)) & 1) << i
-    q = np.full(len(letters), dfa.initial)
-    for t in range(letters.shape[1]):
+        own |= ((symbols >> NAMES.index(name)) & 1) << i
+    q = np.full(len(symbols), dfa.initial)
+    for t in range(symbols.shape[1]):
         q = dfa.delta[q, own[:, t]]
     return np.isin(q, list(dfa.accepting))
 

@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 from small_sac import AT_G1, PIDS, TO_G2, small_sac, small_sac_task
 
-from t4nmtd_dist.agents.common.peer_success_replay import ChanceFinds, target_letters
+from t4nmtd_dist.agents.common.peer_success_replay import ChanceFinds, target_symbols
 from t4nmtd_dist.agents.common.peer_values import NoPeers
 from t4nmtd_dist.agents.common.replay_buffer import BEFORE_SUCCESS, SHARED, Experience
 from t4nmtd_dist.agents.sac.agent import SACLearner
@@ -79,8 +79,8 @@ def test_a_copy_made_in_parts_holds_the_same_steps(
     while step < original.written:
         first, columns = original.since(step, bytes_at_once)
         copy.extend(columns, follows=first == step)
-        assert len(columns["letters"]) > 0
-        step = first + len(columns["letters"])
+        assert len(columns["symbols"]) > 0
+        step = first + len(columns["symbols"])
     assert same(kept(copy), kept(original))
     assert len(copy) == len(original)
 
@@ -300,16 +300,16 @@ def test_a_silent_peer_is_asked_again_after_a_while_and_never_waited_for(context
 BAD: dict[str, Callable[[Columns], Columns]] = {
     "nothing": lambda good: {},
     "a column missing": lambda good: {name: column for name, column in good.items() if name != "ended"},
-    "a column more": lambda good: good | {"q": good["letters"]},
+    "a column more": lambda good: good | {"q": good["symbols"]},
     "not finite": lambda good: good | {"actions": np.full_like(good["actions"], np.nan)},
     "infinite": lambda good: good | {"observations": np.full_like(good["observations"], np.inf)},
     "other copies": lambda good: {name: column[:, :1] for name, column in good.items()},
     "fewer steps in one column": lambda good: good | {"actions": good["actions"][1:]},
     "another observation": lambda good: good | {"observations": good["observations"][..., :1]},
     "another type": lambda good: good | {"observations": good["observations"].astype(np.float64)},
-    "a letter too high": lambda good: good | {"letters": np.full_like(good["letters"], LETTERS)},
-    "a letter below 0": lambda good: good | {"letters": np.full_like(good["letters"], -1)},
-    "a number for a column": lambda good: good | {"letters": np.array(1)},
+    "a letter too high": lambda good: good | {"symbols": np.full_like(good["symbols"], LETTERS)},
+    "a letter below 0": lambda good: good | {"symbols": np.full_like(good["symbols"], -1)},
+    "a number for a column": lambda good: good | {"symbols": np.array(1)},
 }
 
 
@@ -327,7 +327,7 @@ def test_bad_columns_leave_what_is_there_and_are_told_of_once(context: Context) 
     copies = PeerExperience(context, "asker", lambda: lived(0, 2, 10), LETTERS, clock=clock, tell=told.append)
     copies.set_peers({"g1": at(endpoint)})
     good = {f"experience.{name}": column for name, column in kept(lived(3, 2, 10)).items()}
-    bad, worse = (good | {"experience.letters": np.zeros(size)} for size in (2, 1))
+    bad, worse = (good | {"experience.symbols": np.zeros(size)} for size in (2, 1))
     answers: list[tuple[Any, Columns]] = [
         (ExperienceReply(first=0, written=3), good),
         (ExperienceReply(first=3, written=6), bad),
@@ -380,11 +380,11 @@ def test_a_share_of_a_batch_is_read_from_peers(share: float) -> None:
 
 
 def test_peers_rows_are_read_as_the_own_sub_tasks() -> None:
-    """Every row has the reward of its own letter in the DFA state in which it is read, one of the own sub-task's."""
+    """Every row has the reward of its own symbol in the DFA state in which it is read, one of the own sub-task's."""
     first, second = taught(1.0, **{"sac.n_step": "1"})
     task, columns = small_sac_task(), kept_all(second.experience)
-    columns["letters"] = np.random.default_rng(0).integers(task.dfa.delta.shape[1], size=columns["letters"].shape)
-    experience = second.experience.alike(len(columns["letters"]))
+    columns["symbols"] = np.random.default_rng(0).integers(task.dfa.delta.shape[1], size=columns["symbols"].shape)
+    experience = second.experience.alike(len(columns["symbols"]))
     experience.extend(columns, follows=False)
     first.learn_from({"g2": experience})
     tables = subtask_tables(
@@ -398,7 +398,7 @@ def test_peers_rows_are_read_as_the_own_sub_tasks() -> None:
             drawn.actions, drawn.states, drawn.rewards, drawn.next_states, strict=True
         ):
             row, q = row_of[action.tobytes()], int(state[size:].argmax())
-            q_next = int(task.dfa.delta[q, experience.letters[row]])
+            q_next = int(task.dfa.delta[q, experience.symbols[row]])
             assert tables.available[q]
             assert state[:size].tolist() == experience.observations[row].tolist()
             assert following[:size].tolist() == experience.next_observations[row].tolist()
@@ -452,14 +452,14 @@ def test_finds_are_the_rows_that_lead_to_a_letter_within_their_attempt(
     past: list[tuple[NDArray[np.int64], NDArray[np.bool_]]] = []
     for some in steps:
         for _ in range(some):
-            letters, ends = (
+            symbols, ends = (
                 np.where(rng.random(count) < 0.02, rng.integers(4, size=count), 0),
                 rng.random(count) < ended,
             )
-            past.append((letters, ends))
+            past.append((symbols, ends))
             zeros = np.zeros((count, 1), np.float32)
             states, no = np.zeros(count, np.int32), np.zeros(count, np.bool_)
-            experience.add(zeros, states, zeros, letters, zeros, no, ends, no)
+            experience.add(zeros, states, zeros, symbols, zeros, no, ends, no)
         expected = set()
         oldest = max(0, len(past) - capacity)
         for copy in range(count):
@@ -474,7 +474,7 @@ def test_finds_are_the_rows_that_lead_to_a_letter_within_their_attempt(
 def test_letters_of_a_target_are_those_that_some_state_takes_to_one() -> None:
     task = small_sac_task()
     tables = subtask_tables(task.dfa, task.decomposition, "g1", task.rho, gamma=0.98, shaping="subtask")
-    found = target_letters(tables, task.dfa.delta)
+    found = target_symbols(tables, task.dfa.delta)
     transitions = task.decomposition.subtasks["g1"]
     expected = [any(pair in transitions for pair in enumerate(column)) for column in task.dfa.delta.T.tolist()]
     assert found.tolist() == expected
@@ -483,14 +483,14 @@ def test_letters_of_a_target_are_those_that_some_state_takes_to_one() -> None:
 
 @pytest.mark.parametrize(("success", "least", "most"), [(0.0, 0.8, 0.95), (0.5, 0.2, 0.35), (1.0, 0.0, 0.05)])
 def test_who_fails_reads_more_of_what_its_peers_found_by_chance(success: float, least: float, most: float) -> None:
-    """One letter in a hundred is g1's; its row is drawn a hundredth of the time by a learner that succeeds."""
+    """One symbol in a hundred is g1's; its row is drawn a hundredth of the time by a learner that succeeds."""
     first, second = taught(1.0, **{"sac.success_share": "0.9", "sac.batch": "1000"})
     size = second.experience.observations.shape[1]
-    letter = int(np.flatnonzero(target_letters(first.batches.tables, small_sac_task().dfa.delta))[0])
+    symbol = int(np.flatnonzero(target_symbols(first.batches.tables, small_sac_task().dfa.delta))[0])
     wide, like = second.experience.alike(100), kept_all(second.experience)
     columns = {name: np.zeros((100, *column.shape[1:]), column.dtype) for name, column in like.items()}
     columns["ended"][:] = True
-    columns["letters"][50, 0] = letter
+    columns["symbols"][50, 0] = symbol
     columns["observations"][50, 0] = 7.0
     wide.extend(columns, follows=False)
     first.learn_from({"g2": wide})

@@ -186,7 +186,7 @@ def test_a_serial_run_that_was_solved_is_resumed_to_write_its_result(tmp_path: P
     run = RunDirectory(tmp_path / "run")
     run.write_settings(task.config, 0, 10**6)
     write_identity(run.path, Identity("", serial=True))
-    write_checkpoint(run.checkpoints / "serial", {"run_id": "", "place": "serial"}, serial.state())
+    write_checkpoint(run.checkpoints / "serial", {"run_id": "", "place": "serial"}, serial.state_dict())
     assert train_serial(RunOptions(resume=run.path, translator="python")) == 0
     assert run.read_summary()["interactions_total"] == serial.coordinator.interactions
     assert run.read_summary()["outcome"] == "solved"

@@ -138,7 +138,7 @@ def test_status_and_dashboard_have_it_in_the_learners_row() -> None:
 
 
 def test_attempts_count_how_they_end() -> None:
-    learner = small_learner("p2", "ppo.worlds=1", "learner.attempt_steps=8")
+    learner = small_learner("p2", "ppo.num_envs=1", "learner.attempt_steps=8")
     attempts = learner.attempts
     assert attempts.begin()
     for way in (INTO_HOLE, (0,) * 8, (*TO_PASSENGER_2, PICK), INTO_HOLE):
@@ -146,17 +146,17 @@ def test_attempts_count_how_they_end() -> None:
             attempts.step(np.array([action]))
     assert (attempts.attempts, attempts.successes) == (4, 1)
     assert (attempts.endings.errors, attempts.endings.timeouts, attempts.endings.terminated) == (0, 1, 2)
-    other = small_learner("p2", "ppo.worlds=1", "learner.attempt_steps=8").attempts
-    other.load_state(attempts.state())
+    other = small_learner("p2", "ppo.num_envs=1", "learner.attempt_steps=8").attempts
+    other.load_state_dict(attempts.state_dict())
     assert other.endings == attempts.endings
-    old = attempts.state()
+    old = attempts.state_dict()
     old["counts"] = old["counts"][:3]
-    other.load_state(old)
+    other.load_state_dict(old)
     assert (other.attempts, other.endings.errors) == (4, 0)
 
 
 def test_attempts_that_break_the_formula_count_as_errors() -> None:
-    flags = ("formula=F(p1) & G(!p2)", "ppo.worlds=1", "learner.attempt_steps=8")
+    flags = ("formula=F(p1) & G(!p2)", "ppo.num_envs=1", "learner.attempt_steps=8")
     attempts = small_learner("p1", *flags).attempts
     assert attempts.begin()
     for action in (*TO_PASSENGER_2, PICK):

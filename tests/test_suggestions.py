@@ -96,14 +96,14 @@ LETTERS = st.lists(st.frozensets(st.sampled_from("abcde")), max_size=60)
 
 @settings(max_examples=200)
 @given(LETTERS, st.integers(1, 4))
-def test_groups_are_maximal_and_were_never_true_together(letters: list[frozenset[str]], least: int) -> None:
-    seen = Counter(letters)
-    true = Counter(name for letter in letters for name in letter)
+def test_groups_are_maximal_and_were_never_true_together(symbols: list[frozenset[str]], least: int) -> None:
+    seen = Counter(symbols)
+    true = Counter(name for symbol in symbols for name in symbol)
     groups = never_together("abcde", seen, least=least)
     frequent = {name for name in "abcde" if true[name] >= least}
 
     def apart(names: tuple[str, ...]) -> bool:
-        return not any(len(letter & set(names)) > 1 for letter in letters)
+        return not any(len(symbol & set(names)) > 1 for symbol in symbols)
 
     expected = {
         names

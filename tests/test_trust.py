@@ -49,7 +49,7 @@ horizon = 30
 [learner]
 hidden = [8]
 [ppo]
-worlds = 4
+num_envs = 4
 rollout = 16
 [evaluation]
 every = 50

@@ -17,7 +17,7 @@ from coordinator.state import CoordinatorState, RunSettings
 from t4nmtd_dist.agents.common.rollout import MOST_FAILURES
 from t4nmtd_dist.agents.ppo.agent import PPOLearner
 from t4nmtd_dist.agents.weight_checks import NetworkSizes, check_weights, expected_shapes
-from t4nmtd_dist.core.errors import WorldError
+from t4nmtd_dist.core.errors import EnvError
 from t4nmtd_dist.wire.messages import EvaluationJob, EvaluationPoll, Granted, LearnerStats, SyncReply
 from workers.learner_session import LearnerSession
 
@@ -78,7 +78,7 @@ def test_weights_of_all_learners_have_the_same_sizes_also_after_a_resume() -> No
     assert talk.state.records["p2"].version == 0
     again = Conversation()
     for pid, record in again.state.records.items():
-        record.load_state(talk.state.records[pid].state())
+        record.load_state_dict(talk.state.records[pid].state_dict())
     again.claim("p2", "p2")
     again.sync("p2", "p2", version=1, arrays=others)
     assert again.state.records["p2"].version == 0
@@ -160,7 +160,7 @@ BAD_STATE = np.full(3, 10**9, np.int64)
 
 
 def learner_with(*starts: tuple[int, NDArray[Any]]) -> tuple[PPOLearner, list[str]]:
-    """A learner of the sub-task that begins after passenger 2; its world refuses ``BAD_STATE`` and any of its kind."""
+    """A learner of the sub-task that begins after passenger 2; its environment refuses states like ``BAD_STATE``."""
     learner, told = small_learner("g", starts=starts), list[str]()
     learner.attempts.tell = told.append
     return learner, told
@@ -192,7 +192,7 @@ def test_a_learner_whose_start_states_are_all_unusable_waits_for_others() -> Non
 def test_a_world_that_restores_nothing_ends_with_what_is_wrong() -> None:
     many = [(2, BAD_STATE + number) for number in range(MOST_FAILURES + 5)]
     learner, _ = learner_with(*many)
-    with pytest.raises(WorldError, match=r"(?s)in a row could not be restored.*t4nmtd check"):
+    with pytest.raises(EnvError, match=r"(?s)in a row could not be restored.*t4nmtd check"):
         learner.attempts.begin()
 
 

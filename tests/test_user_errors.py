@@ -16,8 +16,8 @@ from processes import Processes
 from small_tasks import own_task
 
 from t4nmtd_dist.core.config import EnvironmentConfig
-from t4nmtd_dist.core.errors import WorldError
-from t4nmtd_dist.environments.batched import make_world
+from t4nmtd_dist.core.errors import EnvError
+from t4nmtd_dist.environments.batched import make_env
 from t4nmtd_dist.environments.opening import import_module
 from t4nmtd_dist.environments.restoring import choose_snapshots
 from t4nmtd_dist.environments.single_env import EnvironmentCopy
@@ -117,7 +117,7 @@ def everything(environment: EnvironmentConfig) -> None:
 @pytest.mark.parametrize("place", PLACES)
 def test_an_error_in_a_users_code_is_told_with_file_and_line(place: str, broken: ModuleType, tmp_path: Path) -> None:
     broken.WHERE = place
-    with pytest.raises(WorldError) as raised:
+    with pytest.raises(EnvError) as raised:
         everything(config(tmp_path))
     assert_told(str(raised.value), place, tmp_path)
     assert place == "constructor" or place in str(raised.value).splitlines()[0]
@@ -126,19 +126,19 @@ def test_an_error_in_a_users_code_is_told_with_file_and_line(place: str, broken:
 @pytest.mark.parametrize("place", ["constructor", "reset", "step", "get_state", "set_state"])
 def test_an_error_while_snapshots_are_checked_is_told_so_too(place: str, broken: ModuleType, tmp_path: Path) -> None:
     broken.WHERE = place
-    with pytest.raises(WorldError) as raised:
+    with pytest.raises(EnvError) as raised:
         choose_snapshots(config(tmp_path, snapshot_bytes=0), NAMES)
     assert f'File "{tmp_path / "broken.py"}", line {LINE}, in fail' in str(raised.value)
     assert "cause" not in str(raised.value)
 
 
 def test_a_step_of_a_batch_is_told_likewise(broken: ModuleType, tmp_path: Path) -> None:
-    world = make_world(config(tmp_path), 3, NAMES)
-    world.reset(np.arange(3), 0)
+    env = make_env(config(tmp_path), 3, NAMES)
+    env.reset(np.arange(3), 0)
     broken.WHERE, broken.AFTER = "step", 5
-    world.step(np.zeros(3, np.int64))
-    with pytest.raises(WorldError) as raised:
-        world.step(np.zeros(3, np.int64))
+    env.step(np.zeros(3, np.int64))
+    with pytest.raises(EnvError) as raised:
+        env.step(np.zeros(3, np.int64))
     assert_told(str(raised.value), "step", tmp_path)
 
 
@@ -177,15 +177,15 @@ def test_environments_that_step_their_own_batch_are_told_likewise(
     (tmp_path / f"{name}.py").write_text(BATCHED.replace("ID", repr(f"{name}-v0")), encoding="utf-8")
     monkeypatch.setattr(sys, "path", list(sys.path))
     environment = EnvironmentConfig(f"{name}:{name}-v0", 10, path=str(tmp_path))
-    with pytest.raises(WorldError, match=r"RuntimeError: no licence\n  File .*, line 13, in __init__"):
-        make_world(dataclasses.replace(environment, options={"broken": True}), 2)
-    world = make_world(environment, 2)
+    with pytest.raises(EnvError, match=r"RuntimeError: no licence\n  File .*, line 13, in __init__"):
+        make_env(dataclasses.replace(environment, options={"broken": True}), 2)
+    env = make_env(environment, 2)
     for call in (
-        lambda: world.snapshot(np.arange(2)),
-        lambda: world.restore(np.arange(1), [np.zeros(1)]),
-        lambda: world.step(np.zeros(2, np.int64)),
+        lambda: env.snapshot(np.arange(2)),
+        lambda: env.restore(np.arange(1), [np.zeros(1)]),
+        lambda: env.step(np.zeros(2, np.int64)),
     ):
-        with pytest.raises(WorldError, match=r"raised RuntimeError in \w+\(\): no st\w+\n  File .*, line \d+, in"):
+        with pytest.raises(EnvError, match=r"raised RuntimeError in \w+\(\): no st\w+\n  File .*, line \d+, in"):
             call()
 
 
@@ -204,7 +204,7 @@ def test_a_module_that_cannot_be_imported_is_told_with_file_and_line(
     name = f"module_{tmp_path.name}"
     (tmp_path / f"{name}.py").write_text(text, encoding="utf-8")
     monkeypatch.setattr(sys, "path", list(sys.path))
-    with pytest.raises(WorldError) as raised:
+    with pytest.raises(EnvError) as raised:
         import_module(name, EnvironmentConfig(f"{name}:make", 1, path=str(tmp_path)))
     for piece in (*told, str(tmp_path / f"{name}.py")):
         assert piece in str(raised.value)
@@ -226,7 +226,7 @@ horizon = 30
 [learner]
 hidden = [8]
 [ppo]
-worlds = 4
+num_envs = 4
 rollout = 16
 [evaluation]
 every = 1000000

@@ -60,14 +60,14 @@ class SessionKeeper:
         for session in sessions:
             if now >= self._due.get(session.pid, now):
                 self._due[session.pid] = now + self._every_s
-                self._writer.begin(self._folder(session), _about(session), copied(session.state()))
+                self._writer.begin(self._folder(session), _about(session), copied(session.state_dict()))
                 return
 
     def finish(self, sessions: Iterable[LearnerSession]) -> None:
         """Write the last checkpoint of every learner, and wait for it."""
         self._writer.wait()
         for session in sessions:
-            self._writer.write(self._folder(session), _about(session), session.state())
+            self._writer.write(self._folder(session), _about(session), session.state_dict())
 
     def delete(self, sessions: Iterable[LearnerSession]) -> None:
         """Delete the checkpoints of learners: a solved run needs them no more."""

@@ -68,14 +68,14 @@ class EvaluationSession:
             self._evaluator = Evaluator(policy, self._task.config.evaluation.episodes, seed=self._seed)
         return self._evaluator
 
-    def state(self) -> State:
+    def state_dict(self) -> State:
         """What decides the starts of the next evaluations, for a checkpoint."""
-        return {"evaluator": None if self._evaluator is None else self._evaluator.state()}
+        return {"evaluator": None if self._evaluator is None else self._evaluator.state_dict()}
 
-    def load_state(self, state: State) -> None:
+    def load_state_dict(self, state: State) -> None:
         """Go on from a ``state`` of a session of the same run."""
         if state["evaluator"] is not None:
-            self._evaluator_for(self._policy([], {})).load_state(state["evaluator"])
+            self._evaluator_for(self._policy([], {})).load_state_dict(state["evaluator"])
 
     def _policy(self, q_table: QEntries, arrays: Mapping[str, NDArray[Any]]) -> GlobalPolicy:
         actors: dict[str, dict[str, NDArray[Any]]] = {}

@@ -1,4 +1,4 @@
-"""What learning needs is slow to import (torch, the worlds): it is loaded aside, once a lease is held."""
+"""What learning needs is slow to import (torch, the environments): it is loaded aside, once a lease is held."""
 
 from __future__ import annotations
 

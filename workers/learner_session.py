@@ -72,7 +72,7 @@ class LearnerSession:
         self.learner = build_learner(task, granted.pid, self.buffer, self.high_level, seed=seed, device=device)
         self.peers: dict[str, Peer] = {}
         self.intervention = task.config.learner.intervention
-        self.letters = task.dfa.delta.shape[1]
+        self.symbols = task.dfa.delta.shape[1]
         self.processor_s = 0.0  # kept by whoever has a clock
         self._tell = tell
         self.learner.attempts.tell = self._say
@@ -141,11 +141,11 @@ class LearnerSession:
         told = msgspec.convert(state["lease"]["told"], LearnerStats)
         self._told_before = msgspec.structs.replace(told, intervention=Intervention(), processor_s=self.processor_s)
 
-    def state(self) -> State:
-        """Everything, for a checkpoint; arrays may be views, see ``Learner.state``."""
+    def state_dict(self) -> State:
+        """Everything, for a checkpoint; arrays may be views, see ``Learner.state_dict``."""
         return {
-            "learner": self.learner.state(),
-            "buffer": self.buffer.state(),
+            "learner": self.learner.state_dict(),
+            "buffer": self.buffer.state_dict(),
             "q_table": self.high_level.entries(),
             "counts": asdict(self._counts),
             "lease": {
@@ -157,7 +157,7 @@ class LearnerSession:
             },
         }
 
-    def load_state(self, state: State) -> None:
+    def load_state_dict(self, state: State) -> None:
         """Go on from a ``state`` under the very same lease: in one process with its coordinator (``--serial``)."""
         self._load(state)
         lease = state["lease"]
@@ -167,8 +167,8 @@ class LearnerSession:
         self._counts = InterventionCounts(**state["counts"])
 
     def _load(self, state: State) -> None:
-        self.learner.load_state(state["learner"])
-        self.buffer.load_state(state["buffer"])
+        self.learner.load_state_dict(state["learner"])
+        self.buffer.load_state_dict(state["buffer"])
         self.high_level.load((q, pid, value) for q, pid, value in state["q_table"])
 
     def iterate(self, peers: PeerCritics) -> bool:

@@ -73,7 +73,7 @@ class Neighbours:
         self._lived[session.pid] = learner.experience
         if self.experience is None:
             make, sender = partial(learner.experience.alike, learner.peer_steps), f"{self._instance}/experience"
-            self.experience = PeerExperience(self._context, sender, make, session.letters, self._keys, tell=self._tell)
+            self.experience = PeerExperience(self._context, sender, make, session.symbols, self._keys, tell=self._tell)
         learner.learn_from(ChainMap(self._lived, self.experience.copies))
 
     def locate(self, session: LearnerSession) -> None:

@@ -1,6 +1,6 @@
 """The worker process: one loop that learns (or evaluates), tells the coordinator, and hears its answers.
 
-A place is claimed before torch and the worlds are imported, which takes seconds: a refusal comes at once.
+A place is claimed before torch and the environments are imported, which takes seconds: a refusal comes at once.
 """
 
 from __future__ import annotations
@@ -139,7 +139,7 @@ class Worker:
 
         Raises:
             TrustError: if the coordinator wants code to be run and may be anybody.
-            WorldError: if the task's environment fails.
+            EnvError: if the task's environment fails.
         """
         hear_ends(self._interrupt)
         try:

@@ -77,8 +77,8 @@ class GaussianActor:
         from t4nmtd_dist.agents.common.squashed_gaussian import deterministic_actions, squashed_sample
         from t4nmtd_dist.agents.sac.networks import Activations, evaluate
 
-        room = Activations(self._stack.shape, len(states))
-        outputs = evaluate(self._stack.layers, states, room)[0].numpy()
+        workspace = Activations(self._stack.shape, len(states))
+        outputs = evaluate(self._stack.layers, states, workspace)[0].numpy()
         if rng is None:
             return scaled(deterministic_actions(outputs).T, self._low, self._high)
         noise = rng.standard_normal((len(self._low), len(states)), np.float32)

@@ -90,13 +90,13 @@ class Learner(Protocol):
     def losses(self) -> tuple[float | None, float | None]:
         """Entropy (nats) and critic loss of the last update; None before the first."""
 
-    def state(self) -> State:
+    def state_dict(self) -> State:
         """Everything that decides how learning goes on after an iteration, for a checkpoint.
 
         Arrays may be views of what is learned with: write or copy them before the next iteration.
         """
 
-    def load_state(self, state: State) -> None:
+    def load_state_dict(self, state: State) -> None:
         """Go on from a ``state`` of a learner of the same sub-task and settings, exactly as that one would have.
 
         Raises:

@@ -12,11 +12,11 @@ from t4nmtd_dist.agents.protocol import Learner
 from t4nmtd_dist.core.devices import Device
 from t4nmtd_dist.core.errors import ConfigError
 from t4nmtd_dist.environments.action_spaces import action_bounds, action_count
-from t4nmtd_dist.environments.batched import BatchedWorld
-from t4nmtd_dist.environments.timed import make_task_world
+from t4nmtd_dist.environments.batched import BatchedEnv
+from t4nmtd_dist.environments.timed import make_task_env
 from t4nmtd_dist.method.compiled import CompiledTask
 from t4nmtd_dist.method.high_level import QTable
-from t4nmtd_dist.method.rewards import ACCEPTANCE_REWARD, LetterReader, SubtaskTables, subtask_tables
+from t4nmtd_dist.method.rewards import ACCEPTANCE_REWARD, SubtaskTables, SymbolReader, subtask_tables
 from t4nmtd_dist.method.start_states import InitialStateBuffer
 
 
@@ -35,10 +35,10 @@ def build_learner(
     seed: int,
     device: Device = "cpu",
 ) -> Learner:
-    """A learner for sub-task ``pid`` in worlds of its own, with its networks on ``device``.
+    """A learner for sub-task ``pid`` in environments of its own, with its networks on ``device``.
 
     Raises:
-        WorldError: if the environment cannot be opened, or its spaces or propositions do not fit.
+        EnvError: if the environment cannot be opened, or its spaces or propositions do not fit.
         ConfigError: if the algorithm has not been decided (``environments.preparation.prepared`` does).
     """
     config = task.config
@@ -54,18 +54,18 @@ def build_learner(
         shaping=settings.shaping,
         error_penalty=_error_penalty(task),
     )
-    count = config.sac.worlds if settings.algorithm == "sac" else config.ppo.worlds
-    world = make_task_world(config, count)
-    attempts = _attempts(task, tables, world, buffer, seed)
-    normalised = ~world.categorical if settings.normalise_observations == "on" else None
+    count = config.sac.num_envs if settings.algorithm == "sac" else config.ppo.num_envs
+    env = make_task_env(config, count)
+    attempts = _attempts(task, tables, env, buffer, seed)
+    normalised = ~env.categorical if settings.normalise_observations == "on" else None
     if settings.algorithm == "ppo":
-        actions = action_count(world.action_space, config.environment.id)
+        actions = action_count(env.action_space, config.environment.id)
         states = task.dfa.states
         return PPOLearner(
             pid, attempts, settings, config.ppo, high_level,
             dfa_states=states, actions=actions, seed=seed, device=device, normalised=normalised,
         )  # fmt: skip
-    bounds = action_bounds(world.action_space, config.environment.id)
+    bounds = action_bounds(env.action_space, config.environment.id)
     from t4nmtd_dist.agents.sac.agent import SACLearner
 
     delta = task.dfa.delta
@@ -89,12 +89,12 @@ def _attempt_steps(task: CompiledTask, tables: SubtaskTables) -> int:
 
 
 def _attempts(
-    task: CompiledTask, tables: SubtaskTables, world: BatchedWorld, buffer: InitialStateBuffer, seed: int
+    task: CompiledTask, tables: SubtaskTables, env: BatchedEnv, buffer: InitialStateBuffer, seed: int
 ) -> Attempts:
     settings = task.config.learner
     return Attempts(
-        world,
-        LetterReader(task.dfa, world.propositions),
+        env,
+        SymbolReader(task.dfa, env.propositions),
         tables,
         task.dfa.delta,
         buffer,

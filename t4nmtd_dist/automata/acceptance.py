@@ -27,11 +27,11 @@ ACCEPTANCE_TEXT: dict[str, str] = {
 
 
 def acceptance_of(dfa: DFA, exclusive: ExclusiveGroups = ()) -> Acceptance:
-    """``first`` if the task is co-safe, which it is if no allowed letter leads out of the accepting states.
+    """``first`` if the task is co-safe, which it is if no allowed symbol leads out of the accepting states.
 
     Args:
         dfa: the automaton of the formula.
-        exclusive: groups of propositions that can never hold together; their letters do not count.
+        exclusive: groups of propositions that can never hold together; their symbols do not count.
     """
     reduced = reduce_automaton(dfa, exclusive)
     lost = any(q in reduced.accepting and target not in reduced.accepting for q, target in reduced.transitions)
@@ -74,11 +74,11 @@ def with_last(dfa: DFA) -> DFA:
         )
     names = tuple(sorted((*dfa.propositions, LAST)))
     check_size(dfa.states + 2, len(names))
-    letters = np.arange(1 << len(names))
-    holds = {name: letters >> bit & 1 for bit, name in enumerate(names)}
-    read = sum((holds[name] << bit for bit, name in enumerate(dfa.propositions)), start=np.zeros_like(letters))
+    symbols = np.arange(1 << len(names))
+    holds = {name: symbols >> bit & 1 for bit, name in enumerate(names)}
+    read = sum((holds[name] << bit for bit, name in enumerate(dfa.propositions)), start=np.zeros_like(symbols))
     accepted, failed = dfa.states, min(dfa.error, default=dfa.states + 1)
-    delta = np.empty((dfa.states + 2, len(letters)), np.int32)
+    delta = np.empty((dfa.states + 2, len(symbols)), np.int32)
     delta[dfa.states], delta[dfa.states + 1] = accepted, failed
     moved = dfa.delta[:, read]
     ended = np.where(np.isin(moved, list(dfa.accepting)), accepted, failed)
@@ -99,8 +99,8 @@ def unfulfilled_states(dfa: DFA) -> frozenset[int]:
     """Of a ``with_last`` automaton, the states in which waiting until the end is not enough; none of any other."""
     if LAST not in dfa.propositions:
         return frozenset()
-    bit = dfa.letter([LAST])
-    letters = np.flatnonzero(np.arange(dfa.delta.shape[1]) & bit == 0)
-    waits = dfa.delta[:, letters] == np.arange(dfa.states)[:, None]
-    accepted = np.isin(dfa.delta[:, letters | bit], list(dfa.accepting))
+    bit = dfa.symbol([LAST])
+    symbols = np.flatnonzero(np.arange(dfa.delta.shape[1]) & bit == 0)
+    waits = dfa.delta[:, symbols] == np.arange(dfa.states)[:, None]
+    accepted = np.isin(dfa.delta[:, symbols | bit], list(dfa.accepting))
     return frozenset(map(int, np.flatnonzero(~(waits & accepted).any(axis=1)))) - dfa.accepting

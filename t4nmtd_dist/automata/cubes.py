@@ -2,7 +2,7 @@
 
 A *literal* is ``p`` or ``~p``; a *cube* is a conjunction of literals (the empty cube is true); a *guard* is a
 disjunction of cubes (no cube at all is false). A truth table is a bool array of shape (2**n,) indexed by
-letters: bit i of the index says whether ``propositions[i]`` holds.
+symbols: bit i of the index says whether ``propositions[i]`` holds.
 """
 
 from __future__ import annotations
@@ -30,14 +30,14 @@ def irredundant_cover(table: TruthTable, propositions: tuple[str, ...]) -> Guard
 
 
 def prime_implicants(on: TruthTable, dont_care: TruthTable, propositions: tuple[str, ...]) -> Guard:
-    """The prime implicants of ``on | dont_care`` that hold in some letter of ``on``.
+    """The prime implicants of ``on | dont_care`` that hold in some symbol of ``on``.
 
     All 3**n cubes over the n propositions that matter are weighed at once in one array.
 
     Args:
-        on: letters in which the function must hold, shape (2**len(propositions),).
-        dont_care: letters that may be counted either way, same shape; those also in ``on`` stay in ``on``.
-        propositions: their names, the lowest bit of a letter first.
+        on: symbols in which the function must hold, shape (2**len(propositions),).
+        dont_care: symbols that may be counted either way, same shape; those also in ``on`` stay in ``on``.
+        propositions: their names, the lowest bit of a symbol first.
 
     Returns:
         The cubes, shortest first; none if ``on`` is empty.
@@ -90,9 +90,9 @@ def _single_cube(table: TruthTable, propositions: tuple[str, ...]) -> Cube | Non
 def _project(table: TruthTable, kept: TruthTable, n: int) -> tuple[TruthTable, TruthTable, list[int]]:
     """Both tables with one axis per proposition that ``table`` depends on, and those propositions.
 
-    ``kept`` holds in a projected letter if it holds in some letter that projects there.
+    ``kept`` holds in a projected symbol if it holds in some symbol that projects there.
     """
-    # Bit i of a letter is axis n - 1 - i of the reshaped table; the transpose puts proposition i on axis i.
+    # Bit i of a symbol is axis n - 1 - i of the reshaped table; the transpose puts proposition i on axis i.
     table, kept = (t.reshape((2,) * n).transpose() for t in (table, kept))
     support = [i for i in range(n) if not np.array_equal(table.take(0, axis=i), table.take(1, axis=i))]
     others = tuple(i for i in range(n) if i not in support)

@@ -19,15 +19,15 @@ MAX_PROPOSITIONS = 16
 
 @dataclass(frozen=True, eq=False)
 class DFA:
-    """A complete DFA <Q, 2^AP, delta, q0, F> over letters that are sets of propositions.
+    """A complete DFA <Q, 2^AP, delta, q0, F> over symbols that are sets of propositions.
 
-    Letters are numbered: bit i of a letter is set iff ``propositions[i]`` holds. States are numbered by
-    breadth-first search from ``initial`` (always 0), letters taken in ascending order, so that equal
+    Symbols are numbered: bit i of a symbol is set iff ``propositions[i]`` holds. States are numbered by
+    breadth-first search from ``initial`` (always 0), symbols taken in ascending order, so that equal
     languages give equal automata.
 
     Attributes:
         propositions: AP, sorted, at most 16 names.
-        delta: int32 array of shape (states, 2**len(propositions)); ``delta[q, letter]`` is the next state.
+        delta: int32 array of shape (states, 2**len(propositions)); ``delta[q, symbol]`` is the next state.
         accepting: F. The initial state is never in it (traces are not empty).
     """
 
@@ -40,7 +40,7 @@ class DFA:
 
     def __post_init__(self) -> None:
         if self.delta.shape[1] != 1 << len(self.propositions):
-            raise ValueError(f"delta has {self.delta.shape[1]} letters, expected {1 << len(self.propositions)}")
+            raise ValueError(f"delta has {self.delta.shape[1]} symbols, expected {1 << len(self.propositions)}")
         object.__setattr__(self, "_bit", {name: 1 << i for i, name in enumerate(self.propositions)})
         self.delta.setflags(write=False)
 
@@ -67,8 +67,8 @@ class DFA:
         rows: list[list[int]] = self.delta.tolist()
         return rows
 
-    def letter(self, labels: Iterable[str]) -> int:
-        """The number of the letter in which exactly ``labels`` hold; names outside AP are ignored."""
+    def symbol(self, labels: Iterable[str]) -> int:
+        """The number of the symbol in which exactly ``labels`` hold; names outside AP are ignored."""
         bit = self._bit
         code = 0
         for name in labels:
@@ -77,7 +77,7 @@ class DFA:
 
     def step(self, q: int, labels: Iterable[str]) -> int:
         """delta(q, labels): the state after reading one set of true propositions."""
-        return self._table[q][self.letter(labels)]
+        return self._table[q][self.symbol(labels)]
 
     @cached_property
     def error(self) -> frozenset[int]:
@@ -113,8 +113,8 @@ class DFA:
             self._edges.update(found)
         return self._edges
 
-    def letters(self, source: int, target: int) -> NDArray[np.bool_]:
-        """Truth table of a guard: bool array of shape (2**|AP|,), true where delta(source, letter) = target."""
+    def symbols(self, source: int, target: int) -> NDArray[np.bool_]:
+        """Truth table of a guard: bool array of shape (2**|AP|,), true where delta(source, symbol) = target."""
         table: NDArray[np.bool_] = np.equal(self.delta[source], target)
         return table
 
@@ -144,17 +144,17 @@ class DFA:
         """Rebuild a DFA from ``to_json``.
 
         Raises:
-            ConfigError: if guards overlap, leave a letter without a target, or name unknown propositions.
+            ConfigError: if guards overlap, leave a symbol without a target, or name unknown propositions.
         """
         propositions = tuple(data["propositions"])
         bit = {name: 1 << i for i, name in enumerate(propositions)}
-        letters = np.arange(1 << len(propositions))
-        delta = np.full((int(data["states"]), letters.size), -1, dtype=np.int32)
+        symbols = np.arange(1 << len(propositions))
+        delta = np.full((int(data["states"]), symbols.size), -1, dtype=np.int32)
         for edge in data["edges"]:
             for cube in edge["guard"]:
                 positive = sum(bit[lit] for lit in cube if not lit.startswith("~"))
                 negative = sum(bit[lit[1:]] for lit in cube if lit.startswith("~"))
-                hit = ((letters & positive) == positive) & ((letters & negative) == 0)
+                hit = ((symbols & positive) == positive) & ((symbols & negative) == 0)
                 row = delta[edge["source"]]
                 if np.any(hit & (row != -1) & (row != edge["target"])):
                     raise ConfigError(f"state {edge['source']}: two guards hold for one letter; expected a DFA")

@@ -178,16 +178,16 @@ def satisfies(trace: Sequence[Iterable[str]], formula: Formula) -> bool:
     if not trace:
         raise ValueError("expected a non-empty trace: LTLf is evaluated at the first position")
     names = sorted(formula.propositions())
-    letters = np.array([sum(1 << names.index(p) for p in set(labels) if p in names) for labels in trace])
-    return bool(truth(formula, letters, names)[0])
+    symbols = np.array([sum(1 << names.index(p) for p in set(labels) if p in names) for labels in trace])
+    return bool(truth(formula, symbols, names)[0])
 
 
-def truth(formula: Formula, letters: NDArray[np.integer[Any]], propositions: Sequence[str]) -> Bools:
+def truth(formula: Formula, symbols: NDArray[np.integer[Any]], propositions: Sequence[str]) -> Bools:
     """Truth of a formula at every position of many traces of one length at once.
 
     Args:
         formula: whose propositions are all among ``propositions``.
-        letters: shape (..., T), T >= 1; bit i of a letter says whether ``propositions[i]`` holds.
+        symbols: shape (..., T), T >= 1; bit i of a symbol says whether ``propositions[i]`` holds.
         propositions: names of the bits.
 
     Returns:
@@ -196,13 +196,13 @@ def truth(formula: Formula, letters: NDArray[np.integer[Any]], propositions: Seq
     """
     operator = formula.operator
     if operator is Operator.PROPOSITION:
-        return np.asarray((letters >> propositions.index(formula.name)) & 1, dtype=bool)
+        return np.asarray((symbols >> propositions.index(formula.name)) & 1, dtype=bool)
     if operator in (Operator.TRUE, Operator.FALSE):
-        return np.full(letters.shape, operator is Operator.TRUE)
-    operands = [truth(operand, letters, propositions) for operand in formula.operands]
+        return np.full(symbols.shape, operator is Operator.TRUE)
+    operands = [truth(operand, symbols, propositions) for operand in formula.operands]
     if operator in _BOOLEAN:
         return _boolean(operator, operands)
-    return _temporal(operator, operands, letters.shape)
+    return _temporal(operator, operands, symbols.shape)
 
 
 _BOOLEAN = (Operator.NOT, Operator.AND, Operator.OR, Operator.IMPLIES, Operator.EQUIVALENT)

@@ -12,16 +12,16 @@ from t4nmtd_dist.automata.dfa import DFA
 from t4nmtd_dist.core.errors import TranslationError
 
 MAX_ENTRIES = 1 << 25
-"""Most entries of a transition table, states times letters (128 MiB)."""
+"""Most entries of a transition table, states times symbols (128 MiB)."""
 
 
 class RawAutomaton(NamedTuple):
     """What a translator builds: complete and deterministic, in no particular form.
 
     Attributes:
-        delta: int32, shape (states, 2**propositions); letters as in ``DFA``.
+        delta: int32, shape (states, 2**propositions); symbols as in ``DFA``.
         accepting: bool, shape (states,).
-        initial: the state before the first letter; whether it accepts does not matter.
+        initial: the state before the first symbol; whether it accepts does not matter.
     """
 
     delta: NDArray[np.int32]
@@ -37,7 +37,7 @@ def check_size(states: int, propositions: int) -> None:
     """
     if states << propositions > MAX_ENTRIES:
         raise TranslationError(
-            f"the automaton has {states} states or more over {1 << propositions} letters; expected at most "
+            f"the automaton has {states} states or more over {1 << propositions} symbols; expected at most "
             f"{MAX_ENTRIES} entries in its transition table: give a simpler formula or fewer propositions"
         )
 
@@ -49,15 +49,15 @@ def canonical_dfa(propositions: tuple[str, ...], automaton: RawAutomaton, deadli
         TranslationError: if the deadline passes.
     """
     delta, accepting = _with_fresh_initial(automaton)
-    columns, letter_class = _unique(delta.T)
+    columns, symbol_class = _unique(delta.T)
     classes = np.ascontiguousarray(columns.T)
     block = _refined(classes, accepting, deadline)
     first = np.unique(block, return_index=True)[1]
     quotient = block[classes[first]]
-    order = _breadth_first(quotient[:, letter_class], int(block[0]))
+    order = _breadth_first(quotient[:, symbol_class], int(block[0]))
     rank = np.full(len(first), -1)
     rank[order] = np.arange(len(order))
-    table = rank[quotient[order]][:, letter_class].astype(np.int32)
+    table = rank[quotient[order]][:, symbol_class].astype(np.int32)
     accepted = np.flatnonzero(accepting[first[order]])
     return DFA(propositions, np.ascontiguousarray(table), frozenset(int(q) for q in accepted))
 
@@ -100,7 +100,7 @@ def _refined(delta: NDArray[np.int32], accepting: NDArray[np.bool_], deadline: D
 
 
 def _breadth_first(delta: NDArray[Any], initial: int) -> list[int]:
-    """States in breadth-first order from ``initial``, letters ascending."""
+    """States in breadth-first order from ``initial``, symbols ascending."""
     order, seen = [initial], {initial}
     for q in order:
         targets, first = np.unique(delta[q], return_index=True)

@@ -35,7 +35,7 @@ def translate_by_mona(formula: Formula, propositions: Sequence[str], deadline: D
 
     Args:
         formula: whose propositions are all among ``propositions``.
-        propositions: at most 16 names, in the order of the letters' bits.
+        propositions: at most 16 names, in the order of the symbols' bits.
         deadline: of the whole translation; MONA is ended when it passes.
 
     Raises:

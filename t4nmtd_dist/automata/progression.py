@@ -4,7 +4,7 @@ What must hold of the rest of a trace is a boolean function of *obligations* "th
 holds there". Every formula unfolds into a boolean function of propositions, true or false now, and of
 obligations: phi U psi = psi | (phi & X(phi U psi)). As a diagram that tests propositions first, the unfolding
 of a state holds all its successors: they are the sub-diagrams below the propositions, one for each distinct
-residual and none per letter. Equal boolean functions are one diagram, and a formula has finitely many
+residual and none per symbol. Equal boolean functions are one diagram, and a formula has finitely many
 obligations, so the search ends.
 """
 
@@ -28,7 +28,7 @@ def translate_by_progression(formula: Formula, propositions: Sequence[str], dead
 
     Args:
         formula: whose propositions are all among ``propositions``.
-        propositions: at most 16 names, in the order of the letters' bits.
+        propositions: at most 16 names, in the order of the symbols' bits.
         deadline: of the whole translation.
 
     Raises:
@@ -55,7 +55,7 @@ class _Unfolding:
     def __init__(self, propositions: Sequence[str], deadline: Deadline) -> None:
         self._diagrams = DiagramStore(deadline)
         self._width = len(propositions)
-        # The last proposition is tested first: it is the highest bit of a letter.
+        # The last proposition is tested first: it is the highest bit of a symbol.
         self._levels = {name: self._width - 1 - i for i, name in enumerate(propositions)}
         self._obliged: list[Formula] = []
         self._obligations: dict[Formula, int] = {}
@@ -70,8 +70,8 @@ class _Unfolding:
         return self._obligations[formula]
 
     def successors(self, state: int) -> NDArray[np.int64]:
-        """The residual diagram after each letter, shape (2**|AP|,)."""
-        return self._by_letter(self._progress(state), 0)
+        """The residual diagram after each symbol, shape (2**|AP|,)."""
+        return self._by_symbol(self._progress(state), 0)
 
     def holds_at_end(self, state: int) -> bool:
         """Whether a trace may end in a state: no obligation is met there."""
@@ -87,14 +87,14 @@ class _Unfolding:
             self._progressed[state] = d.choice(condition, self._progress(d.high[state]), self._progress(d.low[state]))
         return self._progressed[state]
 
-    def _by_letter(self, node: int, level: int) -> NDArray[np.int64]:
+    def _by_symbol(self, node: int, level: int) -> NDArray[np.int64]:
         if self._diagrams.level[node] >= self._width:
             return np.full(1 << (self._width - level), node)
         low, high = node, node
         if self._diagrams.level[node] == level:
             low, high = self._diagrams.low[node], self._diagrams.high[node]
-        below = self._by_letter(low, level + 1)
-        return np.concatenate([below, below if high == low else self._by_letter(high, level + 1)])
+        below = self._by_symbol(low, level + 1)
+        return np.concatenate([below, below if high == low else self._by_symbol(high, level + 1)])
 
     def _unfold(self, formula: Formula) -> int:
         if formula not in self._unfolded:

@@ -1,4 +1,4 @@
-"""A task automaton without the letters that its exclusive propositions rule out."""
+"""A task automaton without the symbols that its exclusive propositions rule out."""
 
 from __future__ import annotations
 
@@ -17,14 +17,14 @@ ExclusiveGroups = Sequence[Sequence[str]]
 
 @dataclass(frozen=True)
 class ReducedAutomaton:
-    """What is left of a DFA when only the allowed letters count; states keep the DFA's numbers.
+    """What is left of a DFA when only the allowed symbols count; states keep the DFA's numbers.
 
     Attributes:
-        states: the states that allowed letters reach from the initial state.
-        transitions: every (source, target) pair among them that an allowed letter takes, sorted, with
+        states: the states that allowed symbols reach from the initial state.
+        transitions: every (source, target) pair among them that an allowed symbol takes, sorted, with
             self-loops and transitions into error states.
         accepting: F, as far as it is reached.
-        error: E, the reached states from which allowed letters never reach F.
+        error: E, the reached states from which allowed symbols never reach F.
     """
 
     states: frozenset[int]
@@ -42,8 +42,8 @@ class ReducedAutomaton:
         )
 
 
-def allowed_letters(dfa: DFA, exclusive: ExclusiveGroups = ()) -> TruthTable:
-    """Letters in which no two propositions of one exclusive group hold together.
+def allowed_symbols(dfa: DFA, exclusive: ExclusiveGroups = ()) -> TruthTable:
+    """Symbols in which no two propositions of one exclusive group hold together.
 
     Args:
         dfa: the task automaton.
@@ -52,17 +52,17 @@ def allowed_letters(dfa: DFA, exclusive: ExclusiveGroups = ()) -> TruthTable:
     Returns:
         bool array of shape (2**|AP|,).
     """
-    letters = np.arange(1 << len(dfa.propositions))
-    allowed = np.ones(letters.size, dtype=np.bool_)
+    symbols = np.arange(1 << len(dfa.propositions))
+    allowed = np.ones(symbols.size, dtype=np.bool_)
     for group in exclusive:
-        bits = [dfa.letter([name]) for name in set(group)]
-        allowed &= sum(((letters & bit) > 0).astype(np.int64) for bit in bits) <= 1
+        bits = [dfa.symbol([name]) for name in set(group)]
+        allowed &= sum(((symbols & bit) > 0).astype(np.int64) for bit in bits) <= 1
     return allowed
 
 
 def reduce_automaton(dfa: DFA, exclusive: ExclusiveGroups = ()) -> ReducedAutomaton:
-    """Drop the letters that ``exclusive`` rules out, and the states that are then unreachable."""
-    delta = dfa.delta[:, allowed_letters(dfa, exclusive)]
+    """Drop the symbols that ``exclusive`` rules out, and the states that are then unreachable."""
+    delta = dfa.delta[:, allowed_symbols(dfa, exclusive)]
     successors = {q: set(map(int, np.unique(delta[q]))) for q in range(dfa.states)}
     states = closure([dfa.initial], successors)
     transitions = tuple((q, target) for q in sorted(states) for target in sorted(successors[q]))

@@ -194,7 +194,7 @@ def _summary(found: Inspection) -> str:
     text += f"\nAccepts {ACCEPTANCE_TEXT[found['acceptance']]}"
     if left := found.get("reduced"):
         text += (
-            f"\nWithout the letters that exclusive propositions rule out: "
+            f"\nWithout the symbols that exclusive propositions rule out: "
             f"{left['states']} states, {left['transitions']} transitions"
         )
     return text

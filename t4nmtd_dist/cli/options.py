@@ -18,7 +18,7 @@ class RunOptions:
     task: str = ""
     """Name of a task (task1 .. task8), or the path of a task file of your own; not needed with --resume."""
     seed: int | None = None
-    """Seed of networks, exploration and worlds; by default 0."""
+    """Seed of networks, exploration and environments; by default 0."""
     resume: Path | None = None
     """Go on with the stopped run in this folder, under its own settings; --max-interactions may give it more."""
     trust: bool = False

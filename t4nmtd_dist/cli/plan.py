@@ -27,7 +27,7 @@ class RunPlan:
 
     Attributes:
         config: all settings.
-        seed: of networks, exploration and worlds.
+        seed: of networks, exploration and environments.
         directory: its folder.
         identity: what stays the same however often it is resumed.
         stopped: the run to go on with, if any.

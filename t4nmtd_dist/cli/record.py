@@ -25,7 +25,7 @@ def record(path: Path, out: Path, *, episodes: int, seed: int, fps: int | None, 
     Raises:
         ConfigError: if the file's format is unknown or a package for it is missing.
         TrustError: if the policy names code that the user does not trust.
-        WorldError: if the environment draws no pictures.
+        EnvError: if the environment draws no pictures.
     """
     _check_format(out)
     if episodes < 1 or (fps is not None and fps < 1):

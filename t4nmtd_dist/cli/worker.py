@@ -64,7 +64,7 @@ def run(command: WorkerCommand) -> int:
     """Run a worker; the exit code."""
     os.environ.setdefault("OMP_NUM_THREADS", "1")  # before torch is imported
     from t4nmtd_dist.core.devices import check_device
-    from t4nmtd_dist.core.errors import BROKEN_ENVIRONMENT, ConfigError, T4NMTDError, WorldError
+    from t4nmtd_dist.core.errors import BROKEN_ENVIRONMENT, ConfigError, EnvError, T4NMTDError
     from t4nmtd_dist.process.parent_watchdog import end_with_parent
     from t4nmtd_dist.wire.endpoints import check_endpoint
 
@@ -84,7 +84,7 @@ def run(command: WorkerCommand) -> int:
         return _work(command)
     except T4NMTDError as error:
         print(f"t4nmtd-worker: {error}", file=sys.stderr)
-        return BROKEN_ENVIRONMENT if isinstance(error, WorldError) else 2
+        return BROKEN_ENVIRONMENT if isinstance(error, EnvError) else 2
     except KeyboardInterrupt:
         return 130
 

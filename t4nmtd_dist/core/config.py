@@ -28,7 +28,7 @@ InterventionMode = Literal["query", "replica", "local", "off"]
 
 @dataclass(frozen=True)
 class EnvironmentConfig:
-    """The world.
+    """The environment.
 
     Attributes:
         id: a registered Gymnasium id, ``module:id`` (the module registers it), or ``module:callable``.
@@ -129,7 +129,7 @@ class PPOConfig:
     """PPO (Schulman et al., 2017); Stable-Baselines3's defaults where no reason speaks against them.
 
     Attributes:
-        worlds: copies of the environment stepped together by one learner.
+        num_envs: copies of the environment stepped together by one learner.
         rollout: steps of each copy between updates.
         epochs: passes over the roll-out.
         minibatch: rows of one gradient step.
@@ -140,7 +140,7 @@ class PPOConfig:
             noise of a roll-out without reward is not blown up into a policy.
     """
 
-    worlds: int = 16
+    num_envs: int = 16
     rollout: int = 64
     epochs: int = 6
     minibatch: int = 256
@@ -159,7 +159,7 @@ class SACConfig:
     """SAC (Haarnoja et al., 2018); Stable-Baselines3's defaults where no reason speaks against them.
 
     Attributes:
-        worlds: copies of the environment stepped together by one learner.
+        num_envs: copies of the environment stepped together by one learner.
         steps_per_iteration: steps of each copy between two messages to the coordinator.
         replay_rows: experiences kept.
         learning_starts: experiences before the first update.
@@ -185,7 +185,7 @@ class SACConfig:
         layer_norm: layer normalisation in the critics.
     """
 
-    worlds: int = 4
+    num_envs: int = 4
     steps_per_iteration: int = 10
     replay_rows: int = 300_000
     learning_starts: int = 1000

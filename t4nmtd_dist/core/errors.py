@@ -20,7 +20,7 @@ class ConfigError(T4NMTDError):
     """A task file, configuration or command-line value that is unknown or out of range."""
 
 
-class WorldError(T4NMTDError):
+class EnvError(T4NMTDError):
     """An environment that does not keep its side of the contract (labels, snapshots, spaces)."""
 
 

@@ -16,12 +16,12 @@ POSITIVE = (
     "learner.attempt_steps",
     "learner.start_capacity",
     "learner.reward_scale",
-    "ppo.worlds",
+    "ppo.num_envs",
     "ppo.rollout",
     "ppo.epochs",
     "ppo.minibatch",
     "ppo.learning_rate",
-    "sac.worlds",
+    "sac.num_envs",
     "sac.steps_per_iteration",
     "sac.replay_rows",
     "sac.batch",
@@ -87,11 +87,11 @@ def _check_hidden(hidden: tuple[int, ...]) -> None:
 
 
 def _check_replay(sac: SACConfig) -> None:
-    kept = sac.replay_rows // sac.worlds * sac.worlds
-    if kept < max(sac.worlds, sac.learning_starts):
+    kept = sac.replay_rows // sac.num_envs * sac.num_envs
+    if kept < max(sac.num_envs, sac.learning_starts):
         raise ConfigError(
             f"sac.replay_rows = {sac.replay_rows}: expected at least sac.learning_starts = {sac.learning_starts}, "
-            f"in whole steps of sac.worlds = {sac.worlds} copies; otherwise learning never starts"
+            f"in whole steps of sac.num_envs = {sac.num_envs} copies; otherwise learning never starts"
         )
 
 

@@ -1,7 +1,7 @@
 """States to be checkpointed: trees of arrays, numbers, texts and lists, split for files and put together again.
 
-Who has a state offers ``state()`` and ``load_state()``; a whole is a dictionary of its parts' states. Generators of
-numpy fit in as ``rng.bit_generator.state``.
+Stateful objects implement ``state_dict()`` and ``load_state_dict()``; composites return a dict. Generators of numpy
+fit in as ``rng.bit_generator.state``.
 """
 
 from __future__ import annotations

@@ -1,1 +1,1 @@
-"""Anyone's Gymnasium environment as a world: opening it, its observations and labels, and its snapshots."""
+"""Anyone's Gymnasium environment as an environment: opening it, its observations and labels, and its snapshots."""

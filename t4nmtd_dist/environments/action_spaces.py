@@ -9,7 +9,7 @@ from gymnasium import spaces
 from numpy.typing import NDArray
 
 from t4nmtd_dist.core.config import TaskConfig
-from t4nmtd_dist.core.errors import WorldError
+from t4nmtd_dist.core.errors import EnvError
 
 Bounds = tuple[NDArray[np.float32], NDArray[np.float32]]
 
@@ -18,7 +18,7 @@ def check_action_space(task: TaskConfig, space: object) -> None:
     """Check that the task's learners can act in a space.
 
     Raises:
-        WorldError: if not; names the algorithm, the environment and the space.
+        EnvError: if not; names the algorithm, the environment and the space.
     """
     if task.learner.algorithm == "ppo":
         action_count(space, task.environment.id)
@@ -30,10 +30,10 @@ def action_count(space: object, environment: str) -> int:
     """How many actions PPO chooses from.
 
     Raises:
-        WorldError: if the space is not Discrete.
+        EnvError: if the space is not Discrete.
     """
     if not isinstance(space, spaces.Discrete):
-        raise WorldError(f"PPO needs a Discrete action space; {environment} has {space}")
+        raise EnvError(f"PPO needs a Discrete action space; {environment} has {space}")
     return int(space.n)
 
 
@@ -41,12 +41,12 @@ def action_bounds(space: object, environment: str) -> Bounds:
     """Lowest and highest actions of SAC, float32 [A]; where float32 is too coarse, inside the space.
 
     Raises:
-        WorldError: if the space is not a Box of one dimension, of real numbers within finite bounds.
+        EnvError: if the space is not a Box of one dimension, of real numbers within finite bounds.
     """
     if not isinstance(space, spaces.Box):
-        raise WorldError(f"SAC needs a Box action space; {environment} has {space}")
+        raise EnvError(f"SAC needs a Box action space; {environment} has {space}")
     if len(space.shape) != 1 or space.dtype is None or space.dtype.kind != "f" or not space.is_bounded():
-        raise WorldError(
+        raise EnvError(
             f"SAC needs actions that are one vector of real numbers within finite bounds; {environment} has {space} "
             "(wrappers such as gymnasium.wrappers.RescaleAction can help)"
         )

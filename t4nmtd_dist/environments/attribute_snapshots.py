@@ -9,11 +9,11 @@ import msgpack
 import numpy as np
 from numpy.typing import NDArray
 
-from t4nmtd_dist.core.errors import T4NMTDError, WorldError
+from t4nmtd_dist.core.errors import EnvError, T4NMTDError
 from t4nmtd_dist.core.state_dict import State
 from t4nmtd_dist.environments.attribute_state import pack, restored
 from t4nmtd_dist.environments.observations import Flattener, Vector
-from t4nmtd_dist.environments.serialization import padded, throw_new_dice, unpadded
+from t4nmtd_dist.environments.serialization import padded, reseed, unpadded
 from t4nmtd_dist.environments.user_errors import call_user
 
 _DICE = ("_np_random", "_np_random_seed")
@@ -92,7 +92,7 @@ class AttributeState:
         except T4NMTDError:
             raise
         except (ValueError, TypeError, KeyError, IndexError, AttributeError) as error:
-            raise WorldError(f"no snapshot of {self._env}: {type(error).__name__}: {error}") from None
+            raise EnvError(f"no snapshot of {self._env}: {type(error).__name__}: {error}") from None
         return self._observation
 
     def _attributes(self) -> dict[str, tuple[dict[str, Any], str]]:
@@ -128,9 +128,9 @@ class AttributeState:
         if self._mujoco is not None:
             self._mujoco.set(wanted[_MUJOCO])
 
-    def throw_new_dice(self, seed: int) -> None:
-        """See ``Snapshots.throw_new_dice``."""
-        throw_new_dice(self._env, seed)
+    def reseed(self, seed: int) -> None:
+        """See ``Snapshots.reseed``."""
+        reseed(self._env, seed)
 
     def bookkeeping(self) -> State:
         """Nothing: the snapshot holds the observation."""

@@ -20,7 +20,7 @@ import gymnasium as gym
 import msgpack
 import numpy as np
 
-from t4nmtd_dist.core.errors import WorldError
+from t4nmtd_dist.core.errors import EnvError
 
 MOST_NODES = 200_000
 
@@ -31,7 +31,7 @@ _OPAQUE_CODE = ["?"]
 _INT64 = range(-(2**63), 2**63)
 
 
-class CannotRestoreError(WorldError):
+class CannotRestoreError(EnvError):
     """A state that cannot be written down, or cannot be put back into the objects that are there."""
 
 

@@ -1,6 +1,6 @@
 """Environments as the learners see them: N copies stepped together, with labels and exact snapshots.
 
-Every world here keeps one contract (``BatchedWorld``). A vector environment that keeps the contract of
+Every environment here keeps one contract (``BatchedEnv``). A vector environment that keeps the contract of
 ``envs.protocol`` is used as it is; anything else is stepped copy by copy.
 """
 
@@ -15,12 +15,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from t4nmtd_dist.core.config import EnvironmentConfig
-from t4nmtd_dist.core.errors import WorldError
+from t4nmtd_dist.core.errors import EnvError
 from t4nmtd_dist.core.state_dict import State, generator_states, set_generator_states
 from t4nmtd_dist.environments.observations import flattener
 from t4nmtd_dist.environments.opening import Spec, find_spec
 from t4nmtd_dist.environments.restoring import with_snapshots
-from t4nmtd_dist.environments.serialization import dice_state, set_dice_state
+from t4nmtd_dist.environments.serialization import rng_state, set_rng_state
 from t4nmtd_dist.environments.single_env import EnvironmentCopy
 from t4nmtd_dist.environments.user_errors import call_user, calls, described
 
@@ -29,7 +29,7 @@ Observations = NDArray[np.float32]
 
 
 @dataclass(frozen=True)
-class WorldStep:
+class EnvStep:
     """What one step of all N copies gave.
 
     Attributes:
@@ -45,15 +45,15 @@ class WorldStep:
     truncated: NDArray[np.bool_]
 
 
-class BatchedWorld(Protocol):
+class BatchedEnv(Protocol):
     """N copies of an environment.
 
     The loop it is meant for::
 
-        observations = world.reset(all_rows, seed)
+        observations = environment.reset(all_rows, seed)
         while True:
-            step = world.step(actions)
-            observations[rows] = world.restore(rows, states)      # rows that begin again
+            step = environment.step(actions)
+            observations[rows] = environment.restore(rows, states)      # rows that begin again
     """
 
     count: int
@@ -76,17 +76,17 @@ class BatchedWorld(Protocol):
     def snapshot(self, rows: Rows) -> list[NDArray[Any]]:
         """The states of some copies, one flat array each."""
 
-    def step(self, actions: NDArray[Any]) -> WorldStep:
+    def step(self, actions: NDArray[Any]) -> EnvStep:
         """Step every copy."""
 
-    def state(self) -> State:
+    def state_dict(self) -> State:
         """Everything that decides the future of all copies, random generators included, for a checkpoint."""
 
-    def load_state(self, state: State) -> None:
-        """Go on from a ``state`` of a world with as many copies."""
+    def load_state_dict(self, state: State) -> None:
+        """Go on from a ``state`` of an environment with as many copies."""
 
 
-def make_world(config: EnvironmentConfig, count: int, propositions: Sequence[str] = ()) -> BatchedWorld:
+def make_env(config: EnvironmentConfig, count: int, propositions: Sequence[str] = ()) -> BatchedEnv:
     """Open ``count`` copies of the configured environment.
 
     Args:
@@ -95,13 +95,13 @@ def make_world(config: EnvironmentConfig, count: int, propositions: Sequence[str
         propositions: all that may be reported, by environments that do not say so themselves.
 
     Raises:
-        WorldError: if the environment is unknown, refuses its options, or lacks labels or snapshots.
+        EnvError: if the environment is unknown, refuses its options, or lacks labels or snapshots.
     """
     spec = find_spec(config)
     if not config.labels and spec is not None and _keeps_vector_contract(spec):
-        return VectorWorld(_open_vector(config, spec, count), config.leave_out)
+        return NativeBatchedEnv(_open_vector(config, spec, count), config.leave_out)
     config = with_snapshots(config, propositions)
-    return LoopedWorld([EnvironmentCopy(config, propositions) for _ in range(count)])
+    return LoopedEnv([EnvironmentCopy(config, propositions) for _ in range(count)])
 
 
 def _keeps_vector_contract(spec: Spec) -> bool:
@@ -117,15 +117,15 @@ def _open_vector(config: EnvironmentConfig, spec: Spec, count: int) -> Any:
         return gym.make_vec(spec.id, count, "vector_entry_point", **config.options)
     except (TypeError, ValueError) as error:
         text = f"environment {config.id!r} refused its options {config.options}: {error}{calls(error)}"
-        raise WorldError(text) from None
+        raise EnvError(text) from None
     except (gym.error.Error, ImportError) as error:
-        raise WorldError(f"environment {config.id!r}: {error}{calls(error)}") from None
+        raise EnvError(f"environment {config.id!r}: {error}{calls(error)}") from None
     except Exception as error:  # whatever a user's code may raise
         text = f"making environment {config.id!r} with {config.options}: {described(error)}"
-        raise WorldError(text) from error
+        raise EnvError(text) from error
 
 
-class VectorWorld:
+class NativeBatchedEnv:
     """A Gymnasium vector environment that steps its copies itself (``envs.protocol``)."""
 
     replayed = 0
@@ -139,7 +139,7 @@ class VectorWorld:
         self.action_space: gym.Space[Any] = env.single_action_space
 
     def reset(self, rows: Rows, seed: int | None = None) -> Observations:
-        """See ``BatchedWorld.reset``."""
+        """See ``BatchedEnv.reset``."""
         mask = np.zeros(self.count, dtype=np.bool_)
         mask[rows] = True
         options = {"reset_mask": mask}
@@ -148,32 +148,32 @@ class VectorWorld:
         return kept
 
     def restore(self, rows: Rows, states: Sequence[NDArray[Any]]) -> Observations:
-        """See ``BatchedWorld.restore``."""
+        """See ``BatchedEnv.restore``."""
         stacked = np.stack(list(states))
         observations: Observations = call_user(self._who, "set_states()", self._env.set_states, rows, stacked)
         return observations
 
     def snapshot(self, rows: Rows) -> list[NDArray[Any]]:
-        """See ``BatchedWorld.snapshot``."""
+        """See ``BatchedEnv.snapshot``."""
         return list(call_user(self._who, "get_states()", self._env.get_states, rows))
 
-    def step(self, actions: NDArray[Any]) -> WorldStep:
-        """See ``BatchedWorld.step``."""
+    def step(self, actions: NDArray[Any]) -> EnvStep:
+        """See ``BatchedEnv.step``."""
         observations, _, terminated, truncated, info = call_user(self._who, "step()", self._env.step, actions)
-        return WorldStep(observations, info["labels"], terminated, truncated)
+        return EnvStep(observations, info["labels"], terminated, truncated)
 
-    def state(self) -> State:
-        """See ``BatchedWorld.state``; ``generators`` are those of the environment beside its ``np_random``."""
+    def state_dict(self) -> State:
+        """See ``BatchedEnv.state_dict``; ``generators`` are those of the environment beside its ``np_random``."""
         return {
             "snapshots": self._env.get_states(np.arange(self.count)),
-            "dice": dice_state(self._env),
+            "rng": rng_state(self._env),
             "generators": generator_states(self._generators),
         }
 
-    def load_state(self, state: State) -> None:
-        """See ``BatchedWorld.load_state``."""
+    def load_state_dict(self, state: State) -> None:
+        """See ``BatchedEnv.load_state_dict``."""
         self._env.set_states(np.arange(self.count), state["snapshots"])
-        set_dice_state(self._env, state["dice"])
+        set_rng_state(self._env, state["rng"])
         set_generator_states(self._generators, state["generators"])
 
     @property
@@ -181,7 +181,7 @@ class VectorWorld:
         return list(getattr(self._env, "generators", ()))
 
 
-class LoopedWorld:
+class LoopedEnv:
     """Copies of an ordinary environment, one by one.
 
     A copy that has ended, or was cut, is not stepped again until it is reset or restored; its last step is repeated.
@@ -194,7 +194,7 @@ class LoopedWorld:
         self.propositions: tuple[str, ...] = first.propositions
         self.observation_size, self.categorical = first.observation_size, first.categorical
         self.action_space: gym.Space[Any] = first.action_space
-        self._dice = np.random.default_rng(0)
+        self._rng = np.random.default_rng(0)
         self._observations = np.zeros((self.count, self.observation_size), dtype=np.float32)
         self._labels = np.zeros((self.count, len(self.propositions)), dtype=np.bool_)
         self._terminated = np.zeros(self.count, dtype=np.bool_)
@@ -202,21 +202,21 @@ class LoopedWorld:
 
     @property
     def replayed(self) -> int:
-        """See ``BatchedWorld.replayed``."""
+        """See ``BatchedEnv.replayed``."""
         return sum(copy.replayed for copy in self._copies)
 
     def reset(self, rows: Rows, seed: int | None = None) -> Observations:
-        """See ``BatchedWorld.reset``; copy ``i`` gets seed + i."""
+        """See ``BatchedEnv.reset``; copy ``i`` gets seed + i."""
         if seed is not None:
-            self._dice = np.random.default_rng(seed)
+            self._rng = np.random.default_rng(seed)
         seeds = [None if seed is None else seed + int(i) for i in rows]
         return self._begun(rows, [self._copies[i].reset(s) for i, s in zip(rows, seeds, strict=True)])
 
     def restore(self, rows: Rows, states: Sequence[NDArray[Any]]) -> Observations:
-        """See ``BatchedWorld.restore``; what follows is thrown with new dice."""
+        """See ``BatchedEnv.restore``; what follows is thrown with new rng."""
         begun = self._begun(rows, [self._copies[i].set_state(s) for i, s in zip(rows, states, strict=True)])
         for i in rows:
-            self._copies[i].throw_new_dice(int(self._dice.integers(2**31)))
+            self._copies[i].reseed(int(self._rng.integers(2**31)))
         return begun
 
     def _begun(self, rows: Rows, firsts: list[Observations]) -> Observations:
@@ -226,32 +226,30 @@ class LoopedWorld:
         return begun
 
     def snapshot(self, rows: Rows) -> list[NDArray[Any]]:
-        """See ``BatchedWorld.snapshot``."""
+        """See ``BatchedEnv.snapshot``."""
         return [self._copies[i].get_state() for i in rows]
 
-    def step(self, actions: NDArray[Any]) -> WorldStep:
-        """See ``BatchedWorld.step``."""
+    def step(self, actions: NDArray[Any]) -> EnvStep:
+        """See ``BatchedEnv.step``."""
         for i in np.flatnonzero(~(self._terminated | self._truncated)):
             done = self._copies[i].step(actions[i])
             self._observations[i], self._labels[i] = done.observation, done.labels
             self._terminated[i], self._truncated[i] = done.terminated, done.truncated
-        return WorldStep(
-            self._observations.copy(), self._labels.copy(), self._terminated.copy(), self._truncated.copy()
-        )
+        return EnvStep(self._observations.copy(), self._labels.copy(), self._terminated.copy(), self._truncated.copy())
 
-    def state(self) -> State:
-        """See ``BatchedWorld.state``."""
+    def state_dict(self) -> State:
+        """See ``BatchedEnv.state_dict``."""
         return {
-            "copies": [copy.state() for copy in self._copies],
-            "dice": self._dice.bit_generator.state,
+            "copies": [copy.state_dict() for copy in self._copies],
+            "rng": self._rng.bit_generator.state,
             "last": {name: column.copy() for name, column in self._last().items()},
         }
 
-    def load_state(self, state: State) -> None:
-        """See ``BatchedWorld.load_state``."""
+    def load_state_dict(self, state: State) -> None:
+        """See ``BatchedEnv.load_state_dict``."""
         for copy, saved in zip(self._copies, state["copies"], strict=True):
-            copy.load_state(saved)
-        self._dice.bit_generator.state = state["dice"]
+            copy.load_state_dict(saved)
+        self._rng.bit_generator.state = state["rng"]
         for name, column in self._last().items():
             column[:] = state["last"][name]
 

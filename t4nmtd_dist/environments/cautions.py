@@ -5,7 +5,7 @@ from __future__ import annotations
 import time
 
 from t4nmtd_dist.core.config import TaskConfig
-from t4nmtd_dist.core.errors import T4NMTDError, WorldError
+from t4nmtd_dist.core.errors import EnvError, T4NMTDError
 from t4nmtd_dist.environments.preparation import slowness
 from t4nmtd_dist.method.compiled import CompiledTask
 from t4nmtd_dist.tasks import is_packages_environment
@@ -17,7 +17,7 @@ def cautions(task: CompiledTask) -> list[str]:
     """What the user should know of a task whose environment was checked (``preparation.prepared``).
 
     Raises:
-        WorldError: if the environment fails under random actions.
+        EnvError: if the environment fails under random actions.
     """
     config = task.config
     slow = slowness(config.environment)
@@ -29,7 +29,7 @@ def cautions(task: CompiledTask) -> list[str]:
     except T4NMTDError:
         raise
     except Exception as error:  # whatever a user's environment may raise
-        raise WorldError(f"environment {config.environment.id!r} raised {type(error).__name__}: {error}") from error
+        raise EnvError(f"environment {config.environment.id!r} raised {type(error).__name__}: {error}") from error
 
 
 def _of_observations(config: TaskConfig) -> list[str]:

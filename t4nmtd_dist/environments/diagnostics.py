@@ -9,7 +9,7 @@ from dataclasses import dataclass, field
 
 from t4nmtd_dist.automata.acceptance import LAST
 from t4nmtd_dist.core.config import LearnerConfig
-from t4nmtd_dist.core.errors import T4NMTDError, WorldError
+from t4nmtd_dist.core.errors import EnvError, T4NMTDError
 from t4nmtd_dist.environments.decisions import decided
 from t4nmtd_dist.environments.exclusive import Suggestion, suggestions
 from t4nmtd_dist.environments.observation_range import ObservationRange
@@ -91,7 +91,7 @@ def survey(task: CompiledTask, *, steps: int, seed: int) -> Survey:
         seed: of resets and actions.
 
     Raises:
-        WorldError: if the environment cannot be opened, stepped, labelled or restored.
+        EnvError: if the environment cannot be opened, stepped, labelled or restored.
     """
     config = task.config
     try:
@@ -104,7 +104,7 @@ def survey(task: CompiledTask, *, steps: int, seed: int) -> Survey:
     except T4NMTDError:
         raise
     except Exception as error:  # whatever a user's environment may raise
-        raise WorldError(f"environment {config.environment.id!r} raised {described(error)}") from error
+        raise EnvError(f"environment {config.environment.id!r} raised {described(error)}") from error
     _judge(task, found)
     found.suggestions = suggestions(task, found.seen)
     return found
@@ -130,7 +130,7 @@ def _fits(task: CompiledTask, copy: EnvironmentCopy, found: Survey) -> None:
         if last:
             check_last_is_free(copy.propositions)
         check_fit(task, (*copy.propositions, *last), copy.action_space)
-    except WorldError as error:
+    except EnvError as error:
         found.problems.append(str(error))
 
 

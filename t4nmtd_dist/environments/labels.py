@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from t4nmtd_dist.core.config import EnvironmentConfig
-from t4nmtd_dist.core.errors import WorldError
+from t4nmtd_dist.core.errors import EnvError
 from t4nmtd_dist.environments.opening import import_function
 from t4nmtd_dist.environments.user_errors import described
 
@@ -24,7 +24,7 @@ class LabelReader:
         propositions: all that may be reported.
 
     Raises:
-        WorldError: if the function cannot be imported.
+        EnvError: if the function cannot be imported.
     """
 
     def __init__(self, config: EnvironmentConfig, propositions: Iterable[str]) -> None:
@@ -47,7 +47,7 @@ class LabelReader:
             An array that is not for writing: the same set gives the same one.
 
         Raises:
-            WorldError: if the function raises, or what comes is not a set of declared names.
+            EnvError: if the function raises, or what comes is not a set of declared names.
         """
         found = self._found(observation, info)
         row = self._rows.get(found) if isinstance(found, frozenset) else None
@@ -59,14 +59,14 @@ class LabelReader:
 
     def _checked(self, found: Any) -> frozenset[str]:
         if isinstance(found, str | bytes) or not isinstance(found, Iterable):
-            raise WorldError(f"{self.source} gave {found!r}; expected a set of names out of {self._declared}")
+            raise EnvError(f"{self.source} gave {found!r}; expected a set of names out of {self._declared}")
         try:
             names = frozenset(found)
         except TypeError:
-            raise WorldError(f"{self.source} gave {found!r}; expected a set of names") from None
+            raise EnvError(f"{self.source} gave {found!r}; expected a set of names") from None
         if not names <= self._known:
             strange = next(iter(names - self._known))
-            raise WorldError(
+            raise EnvError(
                 f"{self.source} reported {strange!r}, which is not declared; "
                 f"propositions declares {self._declared}: add it there, or do not report it"
             )
@@ -75,7 +75,7 @@ class LabelReader:
     def _found(self, observation: Any, info: dict[str, Any]) -> Any:
         if self._function is None:
             if "labels" not in info:
-                raise WorldError(
+                raise EnvError(
                     "the environment's info has no 'labels' and the task names no labelling function; "
                     'add environment.labels = "module:function"'
                 )
@@ -83,7 +83,7 @@ class LabelReader:
         try:
             return self._function(observation, info)
         except Exception as error:  # whatever a user's function may raise
-            raise WorldError(f"labelling function {self.source} raised {described(error)}") from error
+            raise EnvError(f"labelling function {self.source} raised {described(error)}") from error
 
     @property
     def _declared(self) -> str:

@@ -16,7 +16,7 @@ import numpy as np
 from gymnasium import spaces
 from numpy.typing import NDArray
 
-from t4nmtd_dist.core.errors import WorldError
+from t4nmtd_dist.core.errors import EnvError
 
 Vector = NDArray[np.float32]
 
@@ -76,30 +76,30 @@ def flattener(space: gym.Space[Any], leave_out: Sequence[str] = ()) -> Flattener
         leave_out: keys of a Dict that are not used.
 
     Raises:
-        WorldError: for any other space, by name, and for keys to leave out that are not there.
+        EnvError: for any other space, by name, and for keys to leave out that are not there.
     """
     if isinstance(space, spaces.Dict):
         return _dict(space, leave_out)
     if leave_out:
-        raise WorldError(f"{_setting(leave_out)}, but the observation is no Dict: {space}; remove that setting")
+        raise EnvError(f"{_setting(leave_out)}, but the observation is no Dict: {space}; remove that setting")
     part = _part(space, "observation")
     if part is None:
-        raise WorldError(_refusal("observation", space))
+        raise EnvError(_refusal("observation", space))
     return Flattener((part,), part.flatten)
 
 
 def _dict(space: spaces.Dict, leave_out: Sequence[str]) -> Flattener:
     strange = [key for key in leave_out if key not in space.spaces]
     if strange:
-        raise WorldError(f"environment.leave_out names {strange[0]!r}; the observation has {', '.join(space.spaces)}")
+        raise EnvError(f"environment.leave_out names {strange[0]!r}; the observation has {', '.join(space.spaces)}")
     used = {key: entry for key, entry in space.spaces.items() if key not in leave_out}
     if not used:
-        raise WorldError(f"{_setting(leave_out)}, and environment.leave_out leaves nothing to learn from")
+        raise EnvError(f"{_setting(leave_out)}, and environment.leave_out leaves nothing to learn from")
     parts = {key: _part(entry, _entry(key)) for key, entry in used.items()}
     found = {key: part for key, part in parts.items() if part is not None}
     unusable = [key for key in parts if key not in found]
     if unusable:
-        raise WorldError(
+        raise EnvError(
             f"{_refusal(_entry(unusable[0]), used[unusable[0]])}; where the task can do without it, leave it out: "
             f"{_setting([*leave_out, *unusable])}"
         )
@@ -157,13 +157,13 @@ def _one_hots(name: str, first: NDArray[np.int64], counts: NDArray[np.int64]) ->
     def flatten(value: Any) -> Vector:
         numbers = np.asarray(value).reshape(-1)
         if len(numbers) != len(counts):
-            raise WorldError(f"the environment observed {len(numbers)} numbers in {name}; expected {len(counts)}")
+            raise EnvError(f"the environment observed {len(numbers)} numbers in {name}; expected {len(counts)}")
         index = numbers - first
         wrong = np.flatnonzero((index < 0) | (index >= counts) | (index != np.floor(index)))
         if len(wrong):
             i = wrong[0]
             declared = f"{first[i]}..{first[i] + counts[i] - 1}"
-            raise WorldError(
+            raise EnvError(
                 f"the environment observed {numbers[i]} in {name}, which is not in {declared}, the whole numbers that "
                 "its space declares; correct the space or the observation"
             )

@@ -13,7 +13,7 @@ from typing import Any
 import gymnasium as gym
 
 from t4nmtd_dist.core.config import EnvironmentConfig
-from t4nmtd_dist.core.errors import WorldError
+from t4nmtd_dist.core.errors import EnvError
 from t4nmtd_dist.environments.named_code import code_named
 from t4nmtd_dist.environments.task_modules import OUR_WORLDS, explained, import_task_module
 from t4nmtd_dist.environments.user_errors import calls, described
@@ -34,7 +34,7 @@ def open_environment(config: EnvironmentConfig, *, render_mode: str | None = Non
         render_mode: passed on to the environment's constructor, or to the callable if it takes that keyword.
 
     Raises:
-        WorldError: if the environment is unknown, cannot be imported, refuses its options, or cannot be drawn.
+        EnvError: if the environment is unknown, cannot be imported, refuses its options, or cannot be drawn.
     """
     spec = find_spec(config)
     maker: Callable[..., Any] = _callable(config) if spec is None else _plain(spec)
@@ -42,9 +42,9 @@ def open_environment(config: EnvironmentConfig, *, render_mode: str | None = Non
     options = {**config.options, **({"render_mode": render_mode} if passed_on else {})}
     env = _called(config, options, maker)
     if not isinstance(env, gym.Env):
-        raise WorldError(f"environment {config.id!r} made {type(env).__name__}; expected a gymnasium.Env")
+        raise EnvError(f"environment {config.id!r} made {type(env).__name__}; expected a gymnasium.Env")
     if render_mode is not None and not passed_on and env.render_mode != render_mode:
-        raise WorldError(
+        raise EnvError(
             f"environment {config.id!r} cannot be drawn: {config.id.rpartition(':')[2]}() takes no keyword "
             "render_mode; add render_mode=None to its parameters and pass it on to the environment that it makes, or "
             f"let it make that with render_mode={render_mode!r}"
@@ -65,7 +65,7 @@ def find_spec(config: EnvironmentConfig) -> Spec | None:
     """The registration behind an id; None if the id is ``module:callable``.
 
     Raises:
-        WorldError: if there is neither.
+        EnvError: if there is neither.
     """
     module_name, _, name = config.id.rpartition(":")
     ours = config.id.startswith(OUR_WORLDS)
@@ -77,7 +77,7 @@ def find_spec(config: EnvironmentConfig) -> Spec | None:
         return gym.spec(name)
     except gym.error.Error as error:
         also = f"; module {module_name} has no {name!r} either" if module else ""
-        raise WorldError(f"environment {config.id!r}: {error}{also}") from None
+        raise EnvError(f"environment {config.id!r}: {error}{also}") from None
 
 
 def import_function(text: str, config: EnvironmentConfig, key: str) -> Callable[..., Any]:
@@ -89,15 +89,15 @@ def import_function(text: str, config: EnvironmentConfig, key: str) -> Callable[
         key: name of the setting, for messages.
 
     Raises:
-        WorldError: if there is no such function.
+        EnvError: if there is no such function.
     """
     module_name, colon, name = text.partition(":")
     if not colon or not module_name or not name:
-        raise WorldError(f"{key} = {text!r}: expected module:function")
+        raise EnvError(f"{key} = {text!r}: expected module:function")
     module = import_module(module_name, config)
     function = _attribute(module, name)
     if not callable(function):
-        raise WorldError(f"{key} = {text!r}: {_place(module)} has no function {name!r}")
+        raise EnvError(f"{key} = {text!r}: {_place(module)} has no function {name!r}")
     return function  # type: ignore[no-any-return]
 
 
@@ -108,7 +108,7 @@ def import_module(name: str, config: EnvironmentConfig) -> ModuleType:
     came with a stranger's policy must not shadow installed modules.
 
     Raises:
-        WorldError: if it cannot be imported; the text says where it was searched for.
+        EnvError: if it cannot be imported; the text says where it was searched for.
     """
     folders = config.folders if code_named(config) else ()
     try:
@@ -116,11 +116,11 @@ def import_module(name: str, config: EnvironmentConfig) -> ModuleType:
     except ModuleNotFoundError as error:
         if error.name is None or not f"{name}.".startswith(f"{error.name}."):
             more = explained(error, folders)
-            raise WorldError(f"importing {name!r} for environment {config.id!r}: {described(error)}{more}") from None
-        raise WorldError(f"environment {config.id!r}: no module {name!r}{_searched(config)}") from None
+            raise EnvError(f"importing {name!r} for environment {config.id!r}: {described(error)}{more}") from None
+        raise EnvError(f"environment {config.id!r}: no module {name!r}{_searched(config)}") from None
     except Exception as error:  # whatever a user's module may raise
         more = explained(error, folders) if isinstance(error, ImportError) else ""
-        raise WorldError(f"importing {name!r} for environment {config.id!r}: {described(error)}{more}") from error
+        raise EnvError(f"importing {name!r} for environment {config.id!r}: {described(error)}{more}") from error
 
 
 def _searched(config: EnvironmentConfig) -> str:
@@ -161,8 +161,8 @@ def _called(config: EnvironmentConfig, options: dict[str, Any], maker: Callable[
     try:
         return maker(**options)
     except (TypeError, ValueError) as error:
-        raise WorldError(f"environment {config.id!r} refused its options {options}: {error}{calls(error)}") from None
+        raise EnvError(f"environment {config.id!r} refused its options {options}: {error}{calls(error)}") from None
     except (gym.error.Error, ImportError) as error:
-        raise WorldError(f"environment {config.id!r}: {error}{calls(error)}") from None
+        raise EnvError(f"environment {config.id!r}: {error}{calls(error)}") from None
     except Exception as error:  # whatever a user's code may raise
-        raise WorldError(f"making environment {config.id!r} with {options}: {described(error)}") from error
+        raise EnvError(f"making environment {config.id!r} with {options}: {described(error)}") from error

@@ -7,7 +7,7 @@ import dataclasses
 import numpy as np
 
 from t4nmtd_dist.core.config import EnvironmentConfig, TaskConfig
-from t4nmtd_dist.core.errors import T4NMTDError, WorldError
+from t4nmtd_dist.core.errors import EnvError, T4NMTDError
 from t4nmtd_dist.environments.user_errors import described
 from t4nmtd_dist.method.compiled import CompiledTask
 from t4nmtd_dist.tasks import is_bundled, load_task
@@ -29,17 +29,17 @@ def prepared(task: CompiledTask) -> CompiledTask:
         save and restore states, the algorithm, and whether observations are normalised.
 
     Raises:
-        WorldError: if the environment cannot be opened, reset, stepped, labelled or restored, has spaces that the
+        EnvError: if the environment cannot be opened, reset, stepped, labelled or restored, has spaces that the
             learner cannot use, or does not report what the formula uses.
     """
     if is_bundled(task.config):
-        return _check_world(task) if _asks_for_more(task.config) else task
+        return _check_env(task) if _asks_for_more(task.config) else task
     try:
         return _checked(task)
     except T4NMTDError:
         raise
     except Exception as error:  # whatever a user's environment may raise
-        raise WorldError(f"environment {task.config.environment.id!r} raised {described(error)}") from error
+        raise EnvError(f"environment {task.config.environment.id!r} raised {described(error)}") from error
 
 
 def _asks_for_more(config: TaskConfig) -> bool:
@@ -52,13 +52,13 @@ def _asks_for_more(config: TaskConfig) -> bool:
     )
 
 
-def _check_world(task: CompiledTask) -> CompiledTask:
+def _check_env(task: CompiledTask) -> CompiledTask:
     from t4nmtd_dist.environments.decisions import decided
-    from t4nmtd_dist.environments.timed import make_task_world
+    from t4nmtd_dist.environments.timed import make_task_env
 
-    world = make_task_world(task.config, 1)
-    task = dataclasses.replace(task, config=decided(task.config, world.action_space))
-    check_fit(task, world.propositions, world.action_space)
+    env = make_task_env(task.config, 1)
+    task = dataclasses.replace(task, config=decided(task.config, env.action_space))
+    check_fit(task, env.propositions, env.action_space)
     return task
 
 
@@ -70,17 +70,17 @@ def slowness(config: EnvironmentConfig) -> str | None:
 def _checked(task: CompiledTask) -> CompiledTask:
     from t4nmtd_dist.environments.decisions import decided
     from t4nmtd_dist.environments.restoring import choose_snapshots, chosen
-    from t4nmtd_dist.environments.timed import make_task_world
+    from t4nmtd_dist.environments.timed import make_task_env
 
     config = task.config
     environment = chosen(config.environment, choose_snapshots(config.environment, config.propositions))
-    world = make_task_world(dataclasses.replace(config, environment=environment), 1)
+    env = make_task_env(dataclasses.replace(config, environment=environment), 1)
     task = dataclasses.replace(
-        task, config=decided(dataclasses.replace(config, environment=environment), world.action_space)
+        task, config=decided(dataclasses.replace(config, environment=environment), env.action_space)
     )
-    check_fit(task, world.propositions, world.action_space)
-    world.reset(np.arange(1), 0)
-    world.step(np.array([world.action_space.sample()]))
+    check_fit(task, env.propositions, env.action_space)
+    env.reset(np.arange(1), 0)
+    env.step(np.array([env.action_space.sample()]))
     return task
 
 
@@ -88,10 +88,10 @@ def check_fit(task: CompiledTask, propositions: tuple[str, ...], action_space: o
     """Check that the environment reports what the formula uses, and that the learner can act in it.
 
     Raises:
-        WorldError: if not.
+        EnvError: if not.
     """
     from t4nmtd_dist.environments.action_spaces import check_action_space
-    from t4nmtd_dist.method.rewards import LetterReader
+    from t4nmtd_dist.method.rewards import SymbolReader
 
-    LetterReader(task.dfa, propositions)
+    SymbolReader(task.dfa, propositions)
     check_action_space(task.config, action_space)

@@ -7,16 +7,16 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from t4nmtd_dist.core.errors import WorldError
+from t4nmtd_dist.core.errors import EnvError
 from t4nmtd_dist.core.state_dict import State
 from t4nmtd_dist.environments.observations import Flattener, Vector
-from t4nmtd_dist.environments.serialization import padded, throw_new_dice, unpadded
+from t4nmtd_dist.environments.serialization import padded, reseed, unpadded
 
 
 class Replay:
     """A seed and the actions since: restoring resets the environment and acts again.
 
-    Episodes are cut after ``horizon`` steps, which keeps snapshots of one size. New dice are part of the record.
+    Episodes are cut after ``horizon`` steps, which keeps snapshots of one size. New rng are part of the record.
 
     Attributes:
         replayed: steps that restoring has taken; they count as interactions.
@@ -25,10 +25,10 @@ class Replay:
     def __init__(self, env: Any, flattener: Flattener, horizon: int) -> None:
         self._env, self._flattener, self._horizon = env, flattener, horizon
         space = env.action_space
-        self._record = np.dtype([("dice", "<u4"), ("action", space.dtype.newbyteorder("<"), space.shape)])
+        self._record = np.dtype([("rng", "<u4"), ("action", space.dtype.newbyteorder("<"), space.shape)])
         self._seeds = np.random.default_rng(0)
         self._history: list[tuple[int, Any]] = []
-        self._seed = self._dice = 0
+        self._seed = self._rng = 0
         self.replayed = 0
         self._observation = self._flattener.flatten(self.reset(0))
 
@@ -37,13 +37,13 @@ class Replay:
         if seed is not None:
             self._seeds = np.random.default_rng(seed)
         self._seed = int(self._seeds.integers(2**31)) if seed is None else seed
-        self._history, self._dice = [], 0
+        self._history, self._rng = [], 0
         return self._env.reset(seed=self._seed)[0]
 
     def acted(self, action: Any, observation: Vector) -> bool:
         """See ``Snapshots.acted``."""
-        self._history.append((self._dice, action))
-        self._dice = 0
+        self._history.append((self._rng, action))
+        self._rng = 0
         return len(self._history) >= self._horizon
 
     def get(self) -> NDArray[np.uint8]:
@@ -57,30 +57,30 @@ class Replay:
             data = unpadded(state)
             history = np.frombuffer(data[8:], self._record)
         except ValueError as error:
-            raise WorldError(f"no snapshot of {self._env}: {error}") from None
+            raise EnvError(f"no snapshot of {self._env}: {error}") from None
         observation = self.reset(int.from_bytes(data[:8], "little"))
-        for dice, action in history:
-            if dice:
-                self._throw(int(dice))
+        for rng, action in history:
+            if rng:
+                self._throw(int(rng))
             observation = self._env.step(action if self._env.action_space.shape else int(action))[0]
             self.acted(action, self._observation)
         self.replayed += len(history)
         return self._flattener.flatten(observation)
 
-    def throw_new_dice(self, seed: int) -> None:
-        """See ``Snapshots.throw_new_dice``."""
+    def reseed(self, seed: int) -> None:
+        """See ``Snapshots.reseed``."""
         self._throw(seed % (2**32 - 1) + 1)
 
     def bookkeeping(self) -> State:
         """Dice thrown since the last step, and where the seeds of resets come from."""
-        return {"dice": self._dice, "seeds": self._seeds.bit_generator.state}
+        return {"rng": self._rng, "seeds": self._seeds.bit_generator.state}
 
     def load_bookkeeping(self, state: State) -> None:
         """See ``Snapshots.load_bookkeeping``."""
-        self._dice = state["dice"]
+        self._rng = state["rng"]
         self._seeds.bit_generator.state = state["seeds"]
 
-    def _throw(self, dice: int) -> None:
-        """Throw, and write down before the next step that it was done; 0 stands for dice that are left alone."""
-        self._dice = dice
-        throw_new_dice(self._env, dice)
+    def _throw(self, rng: int) -> None:
+        """Throw, and write down before the next step that it was done; 0 stands for rng that are left alone."""
+        self._rng = rng
+        reseed(self._env, rng)

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from t4nmtd_dist.core.config import EnvironmentConfig
-from t4nmtd_dist.core.errors import WorldError
+from t4nmtd_dist.core.errors import EnvError
 from t4nmtd_dist.environments.opening import Env, open_environment
 from t4nmtd_dist.environments.restoring_words import difference, refusal
 from t4nmtd_dist.environments.single_env import CopyStep, EnvironmentCopy
@@ -59,7 +59,7 @@ def choose_snapshots(config: EnvironmentConfig, propositions: Sequence[str], *, 
     """The first adapter that restores exactly.
 
     Raises:
-        WorldError: if none does; the text says what each did wrong.
+        EnvError: if none does; the text says what each did wrong.
     """
     failures: dict[Adapter, str] = {}
     wanted = _candidates(open_environment(config)) if config.snapshots == "auto" else (config.snapshots,)
@@ -67,12 +67,12 @@ def choose_snapshots(config: EnvironmentConfig, propositions: Sequence[str], *, 
         try:
             room = check_restoring(dataclasses.replace(config, snapshots=adapter), propositions, trials=trials)
         except InexactError as error:
-            if config.snapshots != "auto" and type(error.__cause__) is WorldError:
+            if config.snapshots != "auto" and type(error.__cause__) is EnvError:
                 raise error.__cause__ from None  # it failed in the user's code, and says where
             failures[adapter] = str(error)
         else:
             return Choice(adapter, room, failures)
-    raise WorldError(refusal(config.id, failures))
+    raise EnvError(refusal(config.id, failures))
 
 
 def _candidates(env: Env) -> tuple[Adapter, ...]:
@@ -80,7 +80,7 @@ def _candidates(env: Env) -> tuple[Adapter, ...]:
     return tuple(adapter for adapter in ADAPTERS if not unfit.get(adapter, False))
 
 
-class InexactError(WorldError):
+class InexactError(EnvError):
     """After restoring, the environment went on otherwise than before."""
 
 
@@ -97,7 +97,7 @@ def check_restoring(config: EnvironmentConfig, propositions: Sequence[str], *, t
 
     Raises:
         InexactError: if something differs, or the adapter failed.
-        WorldError: if labels cannot be read.
+        EnvError: if labels cannot be read.
     """
     first, second = EnvironmentCopy(config, propositions), EnvironmentCopy(config, propositions)
     biggest = max(_trial(first, second, trial) for trial in range(trials))
@@ -137,8 +137,8 @@ def _walk(copy: EnvironmentCopy, seed: int, steps: int) -> NDArray[np.float32]:
     return observation
 
 
-def _course(copy: EnvironmentCopy, actions: Sequence[Any], dice: int) -> list[CopyStep]:
-    copy.throw_new_dice(dice)
+def _course(copy: EnvironmentCopy, actions: Sequence[Any], rng: int) -> list[CopyStep]:
+    copy.reseed(rng)
     steps: list[CopyStep] = []
     for action in actions:
         steps.append(copy.step(action))
@@ -150,7 +150,7 @@ def _course(copy: EnvironmentCopy, actions: Sequence[Any], dice: int) -> list[Co
 def _guarded(function: Any, *arguments: Any) -> Any:
     try:
         return function(*arguments)
-    except WorldError as error:
+    except EnvError as error:
         raise InexactError(str(error)) from error
 
 

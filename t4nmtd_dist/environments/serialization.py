@@ -1,4 +1,4 @@
-"""What all snapshots of bytes share: one length for all of a run, and the environment's dice."""
+"""What all snapshots of bytes share: one length for all of a run, and the environment's rng."""
 
 from __future__ import annotations
 
@@ -7,13 +7,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from t4nmtd_dist.core.errors import WorldError
+from t4nmtd_dist.core.errors import EnvError
 from t4nmtd_dist.environments.opening import Env
 
 _LENGTH = np.dtype("<u4")
 
 
-def throw_new_dice(env: Env, seed: int) -> None:
+def reseed(env: Env, seed: int) -> None:
     """Seed the environment's ``np_random`` where it is, so that all who hold it see the change."""
     fresh = np.random.default_rng(seed)
     held = env.unwrapped.np_random
@@ -23,14 +23,14 @@ def throw_new_dice(env: Env, seed: int) -> None:
         env.unwrapped.np_random = fresh
 
 
-def dice_state(env: Env) -> Any:
+def rng_state(env: Env) -> Any:
     """Where the environment's ``np_random`` is; None if it has none yet."""
     held = getattr(env.unwrapped, "_np_random", None)
     return held.bit_generator.state if isinstance(held, np.random.Generator) else None
 
 
-def set_dice_state(env: Env, state: Any) -> None:
-    """Let the environment's ``np_random`` go on from a ``dice_state``."""
+def set_rng_state(env: Env, state: Any) -> None:
+    """Let the environment's ``np_random`` go on from a ``rng_state``."""
     if state is not None:
         env.unwrapped.np_random.bit_generator.state = state
 
@@ -39,10 +39,10 @@ def padded(data: bytes, room: int) -> NDArray[np.uint8]:
     """Length, data, and zeros up to ``room`` bytes of data (0: no more than needed), uint8.
 
     Raises:
-        WorldError: if there is more than that.
+        EnvError: if there is more than that.
     """
     if room and len(data) > room:
-        raise WorldError(
+        raise EnvError(
             f"a snapshot takes {len(data)} bytes, and the task has room for {room}: "
             'set environment.snapshot_bytes higher, or environment.snapshots = "replay"'
         )

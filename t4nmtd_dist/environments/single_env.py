@@ -10,12 +10,12 @@ from gymnasium import spaces
 from numpy.typing import NDArray
 
 from t4nmtd_dist.core.config import EnvironmentConfig
-from t4nmtd_dist.core.errors import WorldError
+from t4nmtd_dist.core.errors import EnvError
 from t4nmtd_dist.core.state_dict import State
 from t4nmtd_dist.environments.labels import LabelReader
 from t4nmtd_dist.environments.observations import Vector, flattener
 from t4nmtd_dist.environments.opening import open_environment
-from t4nmtd_dist.environments.serialization import dice_state, set_dice_state
+from t4nmtd_dist.environments.serialization import rng_state, set_rng_state
 from t4nmtd_dist.environments.snapshots import make_snapshots
 from t4nmtd_dist.environments.user_errors import call_user
 
@@ -39,7 +39,7 @@ class EnvironmentCopy:
         render_mode: passed on to the environment.
 
     Raises:
-        WorldError: if the environment cannot be opened, or has a space that is not supported.
+        EnvError: if the environment cannot be opened, or has a space that is not supported.
     """
 
     def __init__(
@@ -90,7 +90,7 @@ class EnvironmentCopy:
         """Restore a snapshot; the observation there.
 
         Raises:
-            WorldError: if it is no snapshot of this environment.
+            EnvError: if it is no snapshot of this environment.
         """
         observation = call_user(self._who, "set_state()", self._snapshots.set, state)
         return _finite(observation, "the observation after restoring a state")
@@ -99,31 +99,31 @@ class EnvironmentCopy:
         """What the environment draws."""
         return call_user(self._who, "render()", self.env.render)
 
-    def throw_new_dice(self, seed: int) -> None:
+    def reseed(self, seed: int) -> None:
         """Let the environment's own chance take another course from here."""
-        self._snapshots.throw_new_dice(seed)
+        self._snapshots.reseed(seed)
 
-    def state(self) -> State:
-        """Everything that decides the copy's future, its dice included, for a checkpoint."""
+    def state_dict(self) -> State:
+        """Everything that decides the copy's future, its rng included, for a checkpoint."""
         return {
             "snapshot": self._snapshots.get(),
-            "dice": dice_state(self.env),
+            "rng": rng_state(self.env),
             "bookkeeping": self._snapshots.bookkeeping(),
         }
 
-    def load_state(self, state: State) -> None:
+    def load_state_dict(self, state: State) -> None:
         """Go on from a ``state``. Steps of a replay are none here: they were counted when they were first taken."""
         replayed = self._snapshots.replayed
         self._snapshots.set(state["snapshot"])
         if self._snapshots.replayed != replayed:
             self._snapshots.replayed = replayed
-        set_dice_state(self.env, state["dice"])
+        set_rng_state(self.env, state["rng"])
         self._snapshots.load_bookkeeping(state["bookkeeping"])
 
 
 def _finite(observation: Vector, which: str) -> Vector:
     if not np.isfinite(observation).all():
-        raise WorldError(f"{which} holds NaN or infinity, from which nothing can be learned")
+        raise EnvError(f"{which} holds NaN or infinity, from which nothing can be learned")
     return observation
 
 
@@ -131,8 +131,8 @@ def checked_action_space(space: Any) -> Any:
     """The space, if it is Box or Discrete from 0.
 
     Raises:
-        WorldError: if it is another one, by name.
+        EnvError: if it is another one, by name.
     """
     if isinstance(space, spaces.Box) or (isinstance(space, spaces.Discrete) and space.start == 0):
         return space
-    raise WorldError(f"action space {space} is not supported; expected Box, or Discrete from 0")
+    raise EnvError(f"action space {space} is not supported; expected Box, or Discrete from 0")

@@ -1,8 +1,8 @@
 """Snapshots of environments: flat arrays that any process with the same environment can restore.
 
-``Contract`` serves environments that are like our own worlds. For all others there are ``AttributeState`` (their
+``Contract`` serves environments that are like our own environments. For all others there are ``AttributeState`` (their
 attributes, beside their own ``get_state`` or MuJoCo's integration state where there is one) and ``Replay`` (a seed
-and the actions since). docs/decisions/010 says why these, and what is not in a snapshot: the environment's dice
+and the actions since). docs/decisions/010 says why these, and what is not in a snapshot: the environment's rng
 ``np_random``. Every attempt throws them anew.
 """
 
@@ -13,7 +13,7 @@ from typing import Any, Literal, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from t4nmtd_dist.core.errors import WorldError
+from t4nmtd_dist.core.errors import EnvError
 from t4nmtd_dist.core.state_dict import State
 from t4nmtd_dist.environments.attribute_snapshots import AttributeState, own_layer
 from t4nmtd_dist.environments.observations import Flattener, Vector
@@ -42,7 +42,7 @@ class Snapshots(Protocol):
     def set(self, state: NDArray[Any]) -> Vector:
         """Restore a snapshot; the observation there."""
 
-    def throw_new_dice(self, seed: int) -> None:
+    def reseed(self, seed: int) -> None:
         """Give the environment's random generator a new state."""
 
     def bookkeeping(self) -> State:
@@ -53,7 +53,7 @@ class Snapshots(Protocol):
 
 
 def keeps_contract(env: Env) -> bool:
-    """Whether the environment is like our own worlds: see ``envs.protocol.SnapshotEnv``."""
+    """Whether the environment is like our own environments: see ``envs.protocol.SnapshotEnv``."""
     return all(hasattr(env, name) for name in ("propositions", "get_state", "set_state"))
 
 
@@ -79,7 +79,7 @@ def make_snapshots(env: Env, adapter: Adapter, flattener: Flattener, room: int, 
         horizon: most steps of a replay.
 
     Raises:
-        WorldError: if the environment does not have what the adapter needs.
+        EnvError: if the environment does not have what the adapter needs.
     """
     if adapter == "replay":
         return Replay(env, flattener, horizon)
@@ -87,12 +87,12 @@ def make_snapshots(env: Env, adapter: Adapter, flattener: Flattener, room: int, 
         return Contract(env, flattener)
     needed = {"own": has_own_state, "mujoco": is_mujoco}.get(adapter)
     if needed is not None and not needed(env):
-        raise WorldError(f'environment.snapshots = "{adapter}" does not fit {env}: it lacks what that needs')
+        raise EnvError(f'environment.snapshots = "{adapter}" does not fit {env}: it lacks what that needs')
     return AttributeState(env, adapter, flattener, room)
 
 
 class Contract:
-    """An environment of our own kind: its snapshots are its own affair, dice included."""
+    """An environment of our own kind: its snapshots are its own affair, rng included."""
 
     replayed = 0
 
@@ -113,7 +113,7 @@ class Contract:
         if not isinstance(state, np.ndarray) or state.ndim != 1:
             shape = f" of shape {state.shape}" if isinstance(state, np.ndarray) else ""
             found = f"{type(state).__name__}{shape}"
-            raise WorldError(f"get_state() of {self._env} returned {found}; expected a flat NumPy array, shape (n,)")
+            raise EnvError(f"get_state() of {self._env} returned {found}; expected a flat NumPy array, shape (n,)")
         return state
 
     def set(self, state: NDArray[Any]) -> Vector:
@@ -121,9 +121,9 @@ class Contract:
         try:
             return self._flattener.flatten(self._env.set_state(state))
         except ValueError as error:
-            raise WorldError(f"{self._env}: {error}{calls(error)}") from None
+            raise EnvError(f"{self._env}: {error}{calls(error)}") from None
 
-    def throw_new_dice(self, seed: int) -> None:
+    def reseed(self, seed: int) -> None:
         """Leave them as they are."""
 
     def bookkeeping(self) -> State:

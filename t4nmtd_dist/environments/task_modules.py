@@ -19,7 +19,7 @@ from types import ModuleType
 import gymnasium as gym
 
 OURS = ("t4nmtd_dist", "coordinator", "workers", "envs")
-OUR_WORLDS = "envs:t4nmtd/"  # ids that begin so mean our worlds, whatever else is called envs
+OUR_WORLDS = "envs:t4nmtd/"  # ids that begin so mean our environments, whatever else is called envs
 
 
 def import_task_module(name: str, folders: Sequence[str]) -> ModuleType:

@@ -1,4 +1,4 @@
-"""Worlds of tasks whose trace ends with the episode: they report ``last`` and show the time that is left."""
+"""Environments of tasks whose trace ends with the episode: they report ``last`` and show the time that is left."""
 
 from __future__ import annotations
 
@@ -10,23 +10,23 @@ from numpy.typing import NDArray
 
 from t4nmtd_dist.automata.acceptance import LAST
 from t4nmtd_dist.core.config import TaskConfig
-from t4nmtd_dist.core.errors import WorldError
+from t4nmtd_dist.core.errors import EnvError
 from t4nmtd_dist.core.state_dict import State
-from t4nmtd_dist.environments.batched import BatchedWorld, Observations, Rows, WorldStep, make_world
+from t4nmtd_dist.environments.batched import BatchedEnv, EnvStep, Observations, Rows, make_env
 
 _TIME = np.dtype("<i8")
 _DTYPE_BYTES = 8  # room for the name of a dtype such as <f4
 _HEADER_BYTES = _TIME.itemsize + _DTYPE_BYTES
 
 
-def make_task_world(task: TaskConfig, count: int) -> BatchedWorld:
+def make_task_env(task: TaskConfig, count: int) -> BatchedEnv:
     """``count`` copies of a task's environment, with time where the task needs it.
 
     Raises:
-        WorldError: see ``make_world``.
+        EnvError: see ``make_env``.
     """
-    world = make_world(task.environment, count, task.propositions)
-    return TimedWorld(world, task.environment.horizon) if task.acceptance == "end" else world
+    env = make_env(task.environment, count, task.propositions)
+    return TimedEnv(env, task.environment.horizon) if task.acceptance == "end" else env
 
 
 def ends_episode(steps: int, horizon: int, *, terminated: bool, truncated: bool) -> bool:
@@ -44,78 +44,78 @@ def check_last_is_free(propositions: Sequence[str]) -> None:
     """Look whether an environment leaves the name ``last`` to the end of the episode.
 
     Raises:
-        WorldError: if it reports such a proposition itself.
+        EnvError: if it reports such a proposition itself.
     """
     if LAST in propositions:
-        raise WorldError(f"the environment reports {LAST!r}, which is the end of the episode; give it another name")
+        raise EnvError(f"the environment reports {LAST!r}, which is the end of the episode; give it another name")
 
 
-class TimedWorld:
-    """A world that counts the steps of every copy's episode.
+class TimedEnv:
+    """An environment that counts the steps of every copy's episode.
 
     Observations have one more number, the share of the horizon that is left. ``last`` is one more proposition, true on
     the last step of an episode: the horizon's, or one on which the environment terminates or truncates. Snapshots carry
     the time: uint8 arrays of the time, the dtype of the environment's own snapshot, and its bytes.
 
     Args:
-        world: the copies.
+        env: the copies.
         horizon: steps of an episode.
 
     Raises:
-        WorldError: if the environment itself reports a proposition ``last``.
+        EnvError: if the environment itself reports a proposition ``last``.
     """
 
-    def __init__(self, world: BatchedWorld, horizon: int) -> None:
-        check_last_is_free(world.propositions)
-        self._world, self._horizon = world, horizon
-        self.count = world.count
-        self.propositions: tuple[str, ...] = (*world.propositions, LAST)
-        self.observation_size = world.observation_size + 1
-        self.categorical = np.append(world.categorical, True)  # the time is scaled already
-        self.action_space = world.action_space
-        self._steps = np.zeros(world.count, np.int64)
+    def __init__(self, env: BatchedEnv, horizon: int) -> None:
+        check_last_is_free(env.propositions)
+        self._env, self._horizon = env, horizon
+        self.count = env.count
+        self.propositions: tuple[str, ...] = (*env.propositions, LAST)
+        self.observation_size = env.observation_size + 1
+        self.categorical = np.append(env.categorical, True)  # the time is scaled already
+        self.action_space = env.action_space
+        self._steps = np.zeros(env.count, np.int64)
 
     @property
     def replayed(self) -> int:
-        """See ``BatchedWorld.replayed``."""
-        return self._world.replayed
+        """See ``BatchedEnv.replayed``."""
+        return self._env.replayed
 
     def reset(self, rows: Rows, seed: int | None = None) -> Observations:
-        """See ``BatchedWorld.reset``."""
+        """See ``BatchedEnv.reset``."""
         self._steps[rows] = 0
-        return self._with_time(self._world.reset(rows, seed), rows)
+        return self._with_time(self._env.reset(rows, seed), rows)
 
     def restore(self, rows: Rows, states: Sequence[NDArray[Any]]) -> Observations:
-        """See ``BatchedWorld.restore``."""
+        """See ``BatchedEnv.restore``."""
         parts = [_taken_apart(state) for state in states]
-        observations = self._world.restore(rows, [state for _, state in parts])
+        observations = self._env.restore(rows, [state for _, state in parts])
         self._steps[rows] = [steps for steps, _ in parts]
         return self._with_time(observations, rows)
 
     def snapshot(self, rows: Rows) -> list[NDArray[Any]]:
-        """See ``BatchedWorld.snapshot``."""
-        states = self._world.snapshot(rows)
+        """See ``BatchedEnv.snapshot``."""
+        states = self._env.snapshot(rows)
         return [_put_together(int(self._steps[row]), state) for row, state in zip(rows, states, strict=True)]
 
-    def step(self, actions: NDArray[Any]) -> WorldStep:
-        """See ``BatchedWorld.step``."""
-        step = self._world.step(actions)
+    def step(self, actions: NDArray[Any]) -> EnvStep:
+        """See ``BatchedEnv.step``."""
+        step = self._env.step(actions)
         self._steps += 1
         last = (self._steps >= self._horizon) | step.terminated | step.truncated
         observations = self._with_time(step.observations, np.arange(self.count))
-        return WorldStep(observations, np.column_stack([step.labels, last]), step.terminated, step.truncated)
+        return EnvStep(observations, np.column_stack([step.labels, last]), step.terminated, step.truncated)
 
     def _with_time(self, observations: Observations, rows: Rows) -> Observations:
         seen: Observations = np.column_stack([observations, remaining_share(self._steps[rows], self._horizon)])
         return seen
 
-    def state(self) -> State:
-        """See ``BatchedWorld.state``."""
-        return {"world": self._world.state(), "steps": self._steps.copy()}
+    def state_dict(self) -> State:
+        """See ``BatchedEnv.state_dict``."""
+        return {"env": self._env.state_dict(), "steps": self._steps.copy()}
 
-    def load_state(self, state: State) -> None:
-        """See ``BatchedWorld.load_state``."""
-        self._world.load_state(state["world"])
+    def load_state_dict(self, state: State) -> None:
+        """See ``BatchedEnv.load_state_dict``."""
+        self._env.load_state_dict(state["env"])
         self._steps[:] = state["steps"]
 
 
@@ -128,10 +128,10 @@ def _taken_apart(state: NDArray[Any]) -> tuple[int, NDArray[Any]]:
     """Steps and the environment's own snapshot.
 
     Raises:
-        WorldError: if the array was not made by ``_put_together``.
+        EnvError: if the array was not made by ``_put_together``.
     """
     if state.dtype != np.uint8 or state.ndim != 1 or len(state) < _HEADER_BYTES:
-        raise WorldError(
+        raise EnvError(
             f"no snapshot with a time: expected uint8 [n], n >= {_HEADER_BYTES}, got {state.dtype} {state.shape}"
         )
     data = state.tobytes()
@@ -139,7 +139,7 @@ def _taken_apart(state: NDArray[Any]) -> tuple[int, NDArray[Any]]:
     try:
         own = np.frombuffer(data[_HEADER_BYTES:], np.dtype(data[_TIME.itemsize : _HEADER_BYTES].decode().strip()))
     except (TypeError, ValueError) as error:
-        raise WorldError(f"no snapshot with a time: {error}") from None
+        raise EnvError(f"no snapshot with a time: {error}") from None
     if steps < 0 or own.dtype.hasobject:
-        raise WorldError(f"no snapshot with a time: {steps} steps of {own.dtype}")
+        raise EnvError(f"no snapshot with a time: {steps} steps of {own.dtype}")
     return steps, own

@@ -9,7 +9,7 @@ from importlib.util import find_spec
 from pathlib import Path
 from typing import Any, TypeVar
 
-from t4nmtd_dist.core.errors import T4NMTDError, WorldError
+from t4nmtd_dist.core.errors import EnvError, T4NMTDError
 
 MOST_FRAMES = 4
 OWN = ("t4nmtd_dist", "coordinator", "workers", "gymnasium")
@@ -27,7 +27,7 @@ def call_user(who: str, what: str, function: Callable[..., Result], *arguments: 
         **keywords: of the function.
 
     Raises:
-        WorldError: if it raises.
+        EnvError: if it raises.
     """
     try:
         return function(*arguments, **keywords)
@@ -35,7 +35,7 @@ def call_user(who: str, what: str, function: Callable[..., Result], *arguments: 
         raise
     except Exception as error:
         kind, _, text = described(error).partition(": ")
-        raise WorldError(f"{who} raised {kind} in {what}: {text}") from error
+        raise EnvError(f"{who} raised {kind} in {what}: {text}") from error
 
 
 def described(error: BaseException) -> str:

@@ -94,22 +94,22 @@ class SerialRun:
             taken, self.notes = self.notes, []
             yield taken
 
-    def state(self) -> State:
+    def state_dict(self) -> State:
         """Everything, for a checkpoint; arrays may be views of what is learned with."""
         return {
             "coordinator": saved_state(self.coordinator),
-            "sessions": {pid: session.state() for pid, session in self.sessions.items()},
-            "evaluator": self.evaluator.state(),
+            "sessions": {pid: session.state_dict() for pid, session in self.sessions.items()},
+            "evaluator": self.evaluator.state_dict(),
             "next": self._next,
         }
 
-    def load_state(self, state: State) -> None:
+    def load_state_dict(self, state: State) -> None:
         """Go on from a ``state`` of the same run, exactly as that one would have."""
         load_saved_state(self.coordinator, state["coordinator"])
         for pid, session in self.sessions.items():
-            session.load_state(state["sessions"][pid])
+            session.load_state_dict(state["sessions"][pid])
             self._load_counts(pid, state["sessions"][pid])
-        self.evaluator.load_state(state["evaluator"])
+        self.evaluator.load_state_dict(state["evaluator"])
         self._next = state["next"]
 
     def _load_counts(self, pid: str, session: State) -> None:

@@ -42,7 +42,7 @@ class SerialKeeper:
         """
         found = newest_checkpoint(self._folder, lambda about: about == self._about, self._warn)
         if found is not None:
-            self._run.load_state(found.state)
+            self._run.load_state_dict(found.state)
         coordinator = self._run.coordinator
         self._directory.mend(coordinator.elapsed_s if found is not None else -1.0)
         source = "the beginning" if found is None else f"checkpoint {found.path.name}"
@@ -55,7 +55,7 @@ class SerialKeeper:
     def turn(self) -> None:
         """Write a checkpoint if one is due; to be called between two rounds."""
         if time.monotonic() >= self._due and self._run.coordinator.outcome is None:
-            self._writer.write(self._folder, self._about, self._run.state())
+            self._writer.write(self._folder, self._about, self._run.state_dict())
             self._due = time.monotonic() + self._every_s
 
     def make_room(self) -> None:
@@ -67,4 +67,4 @@ class SerialKeeper:
         if self._run.coordinator.outcome == "solved" and written:
             delete_checkpoints(self._folder)
         else:
-            self._writer.write(self._folder, self._about, self._run.state())
+            self._writer.write(self._folder, self._about, self._run.state_dict())

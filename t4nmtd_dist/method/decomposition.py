@@ -18,7 +18,7 @@ from t4nmtd_dist.automata.reduction import (
     ExclusiveGroups,
     ReducedAutomaton,
     Transition,
-    allowed_letters,
+    allowed_symbols,
     reduce_automaton,
 )
 from t4nmtd_dist.automata.simple_paths import edges_on_simple_paths
@@ -112,7 +112,7 @@ def decompose(
 ) -> Decomposition:
     """Deal the transitions of a task automaton to sub-tasks.
 
-    Every mode starts from the same transitions: those of the automaton without the letters that ``exclusive``
+    Every mode starts from the same transitions: those of the automaton without the symbols that ``exclusive``
     rules out, less self-loops, transitions out of F and transitions into E; ``prune`` leaves out those that
     lie on no simple path from q0 to F, except those that make a formula true again whose trace ends with the
     episode (``automata.acceptance.unfulfilled_states``). What differs is who gets them:
@@ -143,7 +143,7 @@ def decompose(
     if mode == "literal":
         dfa.find_edges(deadline)
     goals = _goals(dfa, reduced, prune, deadline)
-    allowed = allowed_letters(dfa, exclusive)
+    allowed = allowed_symbols(dfa, exclusive)
     dealt = _dealt(goals, dfa, allowed, literal=mode == "literal", deadline=deadline)
     if mode == "literal" or keep == "all":
         decomposition = _decomposition(dealt)
@@ -163,7 +163,7 @@ def _check_choices(dfa: DFA, mode: Mode, keep: Keep) -> None:
 
 
 def _solvable(dfa: DFA, exclusive: ExclusiveGroups) -> ReducedAutomaton:
-    """The automaton without excluded letters, if acceptance is still reachable."""
+    """The automaton without excluded symbols, if acceptance is still reachable."""
     reduced = reduce_automaton(dfa, exclusive)
     if not reduced.accepting:
         raise ConfigError(
@@ -192,7 +192,7 @@ def _dealt(
 ) -> dict[str, list[Transition]]:
     """The transitions of every sub-task."""
     dealt: dict[str, list[Transition]] = {}
-    waiting = {q: _entailed(dfa.letters(q, q) & allowed, dfa.propositions) for q in {q for q, _ in goals}}
+    waiting = {q: _entailed(dfa.symbols(q, q) & allowed, dfa.propositions) for q in {q for q, _ in goals}}
     for tau in goals:
         if deadline is not None:
             deadline.check("dealing its transitions to sub-tasks")
@@ -204,7 +204,7 @@ def _dealt(
 
 def _objectives(dfa: DFA, tau: Transition, allowed: TruthTable, waiting: frozenset[str]) -> set[str]:
     """The pids of a transition: what its guard asks for beyond what holds while waiting in its source."""
-    label = prime_implicants(dfa.letters(*tau) & allowed, ~allowed, dfa.propositions)
+    label = prime_implicants(dfa.symbols(*tau) & allowed, ~allowed, dfa.propositions)
     return {pid for implicant in label for pid in _implicant_pids(implicant, waiting)}
 
 
@@ -216,9 +216,9 @@ def _implicant_pids(implicant: Cube, waiting: frozenset[str]) -> tuple[str, ...]
     return positive or objectives
 
 
-def _entailed(letters: TruthTable, propositions: tuple[str, ...]) -> frozenset[str]:
-    """The literals that hold in all the given letters; none if there is no letter."""
-    held = np.flatnonzero(letters)
+def _entailed(symbols: TruthTable, propositions: tuple[str, ...]) -> frozenset[str]:
+    """The literals that hold in all the given symbols; none if there is no symbol."""
+    held = np.flatnonzero(symbols)
     if not held.size:
         return frozenset()
     always = int(np.bitwise_and.reduce(held))
@@ -228,18 +228,18 @@ def _entailed(letters: TruthTable, propositions: tuple[str, ...]) -> frozenset[s
 
 
 def _literal_pids(dfa: DFA, tau: Transition, allowed: TruthTable) -> set[str]:
-    """Every literal of the label as written, leaving out cubes that no allowed letter satisfies."""
+    """Every literal of the label as written, leaving out cubes that no allowed symbol satisfies."""
     cubes = [cube for cube in dfa.edges[tau] if _satisfiable(dfa, cube, allowed)]
     return {literal for cube in cubes for literal in cube or (TICK,)}
 
 
 def _satisfiable(dfa: DFA, cube: Cube, allowed: TruthTable) -> bool:
-    """Whether some allowed letter makes every literal of a cube true."""
-    letters = np.flatnonzero(allowed)
+    """Whether some allowed symbol makes every literal of a cube true."""
+    symbols = np.flatnonzero(allowed)
     for literal in cube:
-        holds = (letters & dfa.letter([literal.removeprefix("~")])) > 0
-        letters = letters[holds != literal.startswith("~")]
-    return letters.size > 0
+        holds = (symbols & dfa.symbol([literal.removeprefix("~")])) > 0
+        symbols = symbols[holds != literal.startswith("~")]
+    return symbols.size > 0
 
 
 def _shuffled(decomposition: Decomposition, seed: int) -> Decomposition:

@@ -25,7 +25,7 @@ def without_useless(
     """Leave out the sub-tasks whose literal never brings acceptance nearer.
 
     Distances count the transitions of ``subtasks`` alone. A literal helps with a transition (q, q') if q' is nearer
-    to acceptance than q, and some letter that takes the transition would lead less near without the literal. A
+    to acceptance than q, and some symbol that takes the transition would lead less near without the literal. A
     sub-task that helps with no transition goes, unless some state would then be left without a transition that
     brings acceptance nearer.
 
@@ -33,7 +33,7 @@ def without_useless(
         subtasks: pid -> its transitions, dealt by objectives.
         dfa: the task automaton.
         accepting: the reachable part of F.
-        allowed: letters that can occur, shape (2**|AP|,).
+        allowed: symbols that can occur, shape (2**|AP|,).
         deadline: of the compilation.
     """
     distances = shortest_distances(
@@ -68,14 +68,14 @@ def _helps(
     deadline: Deadline | None,
 ) -> bool:
     """Whether a literal (or ``tick``, which has none) helps with at least one of its transitions."""
-    bit = dfa.letter([pid.removeprefix("~")])
-    letters = np.arange(allowed.size)
-    usable = allowed & allowed[letters ^ bit] & (((letters & bit) > 0) != pid.startswith("~"))
+    bit = dfa.symbol([pid.removeprefix("~")])
+    symbols = np.arange(allowed.size)
+    usable = allowed & allowed[symbols ^ bit] & (((symbols & bit) > 0) != pid.startswith("~"))
     for q, target in taus:
         if deadline is not None:
             deadline.check("choosing sub-tasks")
         if dist[target] < dist[q]:
-            taking = letters[usable & dfa.letters(q, target)]
+            taking = symbols[usable & dfa.symbols(q, target)]
             if not bit or (dist[dfa.delta[q, taking ^ bit]] > dist[target]).any():
                 return True
     return False

@@ -32,7 +32,7 @@ def distances(
 ) -> dict[int, float]:
     """dist(q) of every state: the number of transitions from q to acceptance.
 
-    Self-loops and letters that ``exclusive`` rules out do not count. Where the trace ends with the episode, a step that
+    Self-loops and symbols that ``exclusive`` rules out do not count. Where the trace ends with the episode, a step that
     makes the formula true and is the last as well counts as two: those are two things to wait for.
 
     Args:
@@ -42,7 +42,7 @@ def distances(
         deadline: of the compilation that this is part of.
 
     Returns:
-        state -> distance, 0 on F. Infinite on E, and on states that only excluded letters reach: they do not
+        state -> distance, 0 on F. Infinite on E, and on states that only excluded symbols reach: they do not
         exist for the task, and should one turn up it is as good as an error.
 
     Raises:
@@ -69,7 +69,7 @@ def potentials(dfa: DFA, dist: Mapping[int, float], constant: float = 100.0) -> 
         constant: C.
 
     Returns:
-        float64 array of shape (states,). States at infinite distance (E, and what excluded letters alone
+        float64 array of shape (states,). States at infinite distance (E, and what excluded symbols alone
         reach) have C / (D_max + 1), D_max being the largest finite distance.
     """
     exact = np.array([dist[q] for q in range(dfa.states)], dtype=np.float64)

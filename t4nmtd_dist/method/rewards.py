@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from t4nmtd_dist.automata.dfa import DFA
 from t4nmtd_dist.core.config import Shaping
-from t4nmtd_dist.core.errors import WorldError
+from t4nmtd_dist.core.errors import EnvError
 from t4nmtd_dist.method.decomposition import Decomposition
 
 ACCEPTANCE_REWARD = 100.0
@@ -21,28 +21,28 @@ TARGET_REWARD = 10.0
 States = NDArray[np.int32]
 
 
-class LetterReader:
-    """Turns a world's label matrix into letters of the DFA.
+class SymbolReader:
+    """Turns an environment's label matrix into symbols of the DFA.
 
     Args:
         dfa: whose propositions count.
-        propositions: the world's propositions, the columns of its label matrix.
+        propositions: the environment's propositions, the columns of its label matrix.
 
     Raises:
-        WorldError: if the world never reports a proposition of the formula.
+        EnvError: if the environment never reports a proposition of the formula.
     """
 
     def __init__(self, dfa: DFA, propositions: tuple[str, ...]) -> None:
         missing = [name for name in dfa.propositions if name not in propositions]
         if missing:
-            raise WorldError(
+            raise EnvError(
                 f"the formula uses {missing[0]!r}, which the environment does not report; "
                 f"it reports {', '.join(propositions)}"
             )
-        self._bits = np.array([dfa.letter([name]) for name in propositions], dtype=np.int64)
+        self._bits = np.array([dfa.symbol([name]) for name in propositions], dtype=np.int64)
 
-    def letters(self, labels: NDArray[np.bool_]) -> NDArray[np.int64]:
-        """Letters int64 [N] of a bool label matrix [N, P]."""
+    def symbols(self, labels: NDArray[np.bool_]) -> NDArray[np.int64]:
+        """Symbols int64 [N] of a bool label matrix [N, P]."""
         codes: NDArray[np.int64] = labels @ self._bits
         return codes
 
@@ -57,7 +57,7 @@ class SubtaskTables:
         accepting: bool [Q], F.
         error: bool [Q], E.
         reward: float64 [Q, Q], the shaped reward of a step from q to q' (equal states included).
-        kept_potential: float64 [Q], what the reward of a step into q' holds of the potential of q'. A step on which
+        carried_potential: float64 [Q], what the reward of a step into q' holds of the potential of q'. A step on which
             the environment ends has no later step to pay it back, so there it is taken off.
     """
 
@@ -66,7 +66,7 @@ class SubtaskTables:
     accepting: NDArray[np.bool_]
     error: NDArray[np.bool_]
     reward: NDArray[np.float64]
-    kept_potential: NDArray[np.float64]
+    carried_potential: NDArray[np.float64]
 
     @property
     def terminal(self) -> NDArray[np.bool_]:

@@ -79,7 +79,7 @@ class InitialStateBuffer:
         index = int(rng.integers(len(entries)))
         return list(entries.values())[index][1]
 
-    def state(self) -> dict[str, Any]:
+    def state_dict(self) -> dict[str, Any]:
         """All entries in their order, and the cursor, for a checkpoint."""
         entries = self.since(0, self.cursor)
         return {
@@ -89,7 +89,7 @@ class InitialStateBuffer:
             "states": np.stack([state for *_, state in entries]) if entries else np.zeros((0, 0)),
         }
 
-    def load_state(self, state: Mapping[str, Any]) -> None:
+    def load_state_dict(self, state: Mapping[str, Any]) -> None:
         """Replace everything by what a ``state`` holds."""
         self._entries.clear()
         for number, q, entry in zip(state["cursors"].tolist(), state["q"].tolist(), state["states"], strict=True):

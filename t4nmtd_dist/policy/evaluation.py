@@ -11,11 +11,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from t4nmtd_dist.core.action_modes import ActionMode
-from t4nmtd_dist.core.errors import WorldError
+from t4nmtd_dist.core.errors import EnvError
 from t4nmtd_dist.core.state_dict import State
-from t4nmtd_dist.environments.batched import BatchedWorld, Observations
-from t4nmtd_dist.environments.timed import make_task_world
-from t4nmtd_dist.method.rewards import LetterReader
+from t4nmtd_dist.environments.batched import BatchedEnv, Observations
+from t4nmtd_dist.environments.timed import make_task_env
+from t4nmtd_dist.method.rewards import SymbolReader
 from t4nmtd_dist.policy.global_policy import GlobalPolicy
 
 PERTURBATION_ROUNDS = 100
@@ -49,7 +49,7 @@ class EvaluationResult:
 
 
 class Evaluator:
-    """Runs episodes of a task's policies in worlds that it keeps open.
+    """Runs episodes of a task's policies in environments that it keeps open.
 
     Args:
         policy: any policy of the task (for its settings and automaton).
@@ -58,8 +58,8 @@ class Evaluator:
     """
 
     def __init__(self, policy: GlobalPolicy, episodes: int, *, seed: int) -> None:
-        self._world: BatchedWorld = make_task_world(policy.config, episodes)
-        self._reader = LetterReader(policy.dfa, self._world.propositions)
+        self._env: BatchedEnv = make_task_env(policy.config, episodes)
+        self._reader = SymbolReader(policy.dfa, self._env.propositions)
         self._horizon = policy.config.environment.horizon
         self._rng = np.random.default_rng([seed, 3])
         self._sampling = np.random.default_rng([seed, 4])
@@ -78,7 +78,7 @@ class Evaluator:
             actions: ``greedy`` or ``sampled``; None for the policy's own mode.
 
         Raises:
-            PolicyError: if the policy learned from observations of another size than the world's.
+            PolicyError: if the policy learned from observations of another size than the environment's.
         """
         return finished(self.steps(policy, perturb=perturb, actions=actions))
 
@@ -86,7 +86,7 @@ class Evaluator:
         self, policy: GlobalPolicy, *, perturb: int = 0, actions: ActionMode | None = None
     ) -> Generator[None, None, EvaluationResult]:
         """``run`` step by step, for a caller that has other things to do in between; returns the result."""
-        rows = np.arange(self._world.count)
+        rows = np.arange(self._env.count)
         if perturb:
             observations, q, redrawn = self._perturbed_starts(policy, perturb)
         else:
@@ -94,24 +94,24 @@ class Evaluator:
         sampling = self._sampling if (actions or policy.mode) == "sampled" else None
         return (yield from self._episodes(policy, observations, q, redrawn, sampling))
 
-    def state(self) -> State:
+    def state_dict(self) -> State:
         """What decides the starts and the sampled actions of the next evaluations, for a checkpoint."""
-        world = self._world.state() if self._seeded else None
+        env = self._env.state_dict() if self._seeded else None
         generators = {"rng": self._rng.bit_generator.state, "sampling": self._sampling.bit_generator.state}
-        return {**generators, "seeded": self._seeded, "world": world}
+        return {**generators, "seeded": self._seeded, "env": env}
 
-    def load_state(self, state: State) -> None:
+    def load_state_dict(self, state: State) -> None:
         """Go on from a ``state`` of an evaluator of the same task with as many episodes."""
         self._rng.bit_generator.state, self._seeded = state["rng"], state["seeded"]
         if "sampling" in state:  # older checkpoints have none
             self._sampling.bit_generator.state = state["sampling"]
         if self._seeded:
-            self._world.load_state(state["world"])
+            self._env.load_state_dict(state["env"])
 
     def _reset(self) -> Observations:
         seed = None if self._seeded else int(self._rng.integers(2**31))
         self._seeded = True
-        return self._world.reset(np.arange(self._world.count), seed)
+        return self._env.reset(np.arange(self._env.count), seed)
 
     def _episodes(
         self,
@@ -132,8 +132,8 @@ class Evaluator:
             over |= ~known
             if over.all():
                 break
-            step = self._world.step(actions)
-            q_next = np.where(over, q, policy.dfa.delta[q, self._reader.letters(step.labels)]).astype(np.int32)
+            step = self._env.step(actions)
+            q_next = np.where(over, q, policy.dfa.delta[q, self._reader.symbols(step.labels)]).astype(np.int32)
             returns += np.where(error[q_next], 0.0, policy.rho[q_next] - policy.rho[q])
             lengths += ~over
             success |= accepting[q_next] & ~over
@@ -146,7 +146,7 @@ class Evaluator:
 
     def _perturbed_starts(self, policy: GlobalPolicy, most: int) -> tuple[Observations, NDArray[np.int32], int]:
         """Start states after random actions; starts that ended the episode by themselves are drawn again."""
-        rows = list(range(self._world.count))
+        rows = list(range(self._env.count))
         snapshots: dict[int, tuple[NDArray[np.generic], int]] = {}
         redrawn = 0
         for _ in range(PERTURBATION_ROUNDS):
@@ -154,15 +154,15 @@ class Evaluator:
             if not missing:
                 states = [snapshots[row][0] for row in rows]
                 q = np.array([snapshots[row][1] for row in rows], np.int32)
-                return self._world.restore(np.array(rows), states), q, redrawn
+                return self._env.restore(np.array(rows), states), q, redrawn
             found = self._random_walks(policy, most)
             snapshots.update({row: found[row] for row in missing if row in found})
             redrawn += sum(row not in found for row in missing)
-        raise WorldError(f"{PERTURBATION_ROUNDS} rounds of {most} random actions each ended in error states")
+        raise EnvError(f"{PERTURBATION_ROUNDS} rounds of {most} random actions each ended in error states")
 
     def _random_walks(self, policy: GlobalPolicy, most: int) -> dict[int, tuple[NDArray[np.generic], int]]:
         """A snapshot and DFA state after k random actions for every row that lived that long."""
-        count = self._world.count
+        count = self._env.count
         accepting, error = _masks(policy)
         self._reset()
         q, alive = np.full(count, policy.dfa.initial, np.int32), np.ones(count, np.bool_)
@@ -170,20 +170,20 @@ class Evaluator:
         found: dict[int, tuple[NDArray[np.generic], int]] = {}
         for t in range(most + 1):
             due = np.flatnonzero(alive & (k == t))
-            for row, state in zip(due, self._world.snapshot(due), strict=True):
+            for row, state in zip(due, self._env.snapshot(due), strict=True):
                 found[int(row)] = (state, int(q[row]))
-            step = self._world.step(self._random_actions(count))
-            q = policy.dfa.delta[q, self._reader.letters(step.labels)]
+            step = self._env.step(self._random_actions(count))
+            q = policy.dfa.delta[q, self._reader.symbols(step.labels)]
             alive &= ~(step.terminated | step.truncated | accepting[q] | error[q])
         return found
 
     def _random_actions(self, count: int) -> NDArray[np.generic]:
-        space = self._world.action_space
+        space = self._env.action_space
         if isinstance(space, gym.spaces.Discrete):
             return self._rng.integers(space.n, size=count)
         if isinstance(space, gym.spaces.Box):
             return self._rng.uniform(space.low, space.high, size=(count, *space.shape)).astype(np.float32)
-        raise WorldError(f"action space {space} is not supported; expected Discrete or Box")
+        raise EnvError(f"action space {space} is not supported; expected Discrete or Box")
 
 
 def finished(steps: Generator[None, None, T]) -> T:

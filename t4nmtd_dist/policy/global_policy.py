@@ -19,6 +19,7 @@ from t4nmtd_dist.automata.dfa import DFA
 from t4nmtd_dist.core.action_modes import ActionMode, action_mode
 from t4nmtd_dist.core.config import TaskConfig, task_config
 from t4nmtd_dist.core.errors import ConfigError, PolicyError
+from t4nmtd_dist.core.registry import AGENTS
 from t4nmtd_dist.environments.batched import Observations
 from t4nmtd_dist.environments.timed import remaining_share
 from t4nmtd_dist.method.decomposition import Decomposition
@@ -268,7 +269,7 @@ def load(path: str | Path, *, seed: int | None = None) -> GlobalPolicy:
 
 def _restored(data: Mapping[str, Any], actors: ActorWeights, folder: Path, seed: int | None) -> GlobalPolicy:
     return GlobalPolicy(
-        task_config(data["task"], source=str(folder)),
+        task_config(_acting_settings(data["task"]), source=str(folder)),
         DFA.from_json(data["dfa"]),
         Decomposition.from_json(data["decomposition"]),
         [(q, pid, value) for q, pid, value in data["q_table"]],
@@ -277,6 +278,11 @@ def _restored(data: Mapping[str, Any], actors: ActorWeights, folder: Path, seed:
         mode=data.get("actions", "greedy"),
         seed=seed,
     )
+
+
+def _acting_settings(task: Mapping[str, Any]) -> dict[str, Any]:
+    """A task's settings without the sections of agents, which say how to train and change between versions."""
+    return {key: value for key, value in task.items() if key not in AGENTS.modules}
 
 
 def _read(path: Path) -> tuple[Path, Any, dict[str, NDArray[Any]]]:

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from PIL import Image, ImageDraw, ImageFont
 
 from t4nmtd_dist.automata.acceptance import LAST
-from t4nmtd_dist.core.errors import WorldError
+from t4nmtd_dist.core.errors import EnvError
 from t4nmtd_dist.environments.restoring import with_snapshots
 from t4nmtd_dist.environments.single_env import EnvironmentCopy
 from t4nmtd_dist.environments.timed import ends_episode, remaining_share
@@ -49,7 +49,7 @@ def open_for_recording(policy: GlobalPolicy) -> EnvironmentCopy:
     """The policy's environment with ``render_mode="rgb_array"``.
 
     Raises:
-        WorldError: if it cannot be opened so.
+        EnvError: if it cannot be opened so.
     """
     config = policy.config
     settings = with_snapshots(config.environment, config.propositions)
@@ -65,7 +65,7 @@ def play(policy: GlobalPolicy, copy: EnvironmentCopy, seed: int) -> Iterator[Mom
         seed: of the reset and of sampled actions.
 
     Raises:
-        WorldError: if the environment draws no pictures.
+        EnvError: if the environment draws no pictures.
         PolicyError: if the policy learned from observations of another size.
     """
     observation, q, labels, ended = copy.reset(seed), policy.dfa.initial, frozenset[str](), ""
@@ -101,7 +101,7 @@ def _outcome(policy: GlobalPolicy, q: int, step: int) -> str:
 def _frame(copy: EnvironmentCopy) -> Frame:
     drawn = copy.render()
     if not isinstance(drawn, np.ndarray) or drawn.ndim != 3 or drawn.shape[2] != 3 or drawn.dtype != np.uint8:
-        raise WorldError(f"{copy.env} drew {type(drawn).__name__}; expected an rgb_array, uint8 [height, width, 3]")
+        raise EnvError(f"{copy.env} drew {type(drawn).__name__}; expected an rgb_array, uint8 [height, width, 3]")
     return drawn
 
 

@@ -14,7 +14,7 @@ from msgspec import Meta
 from t4nmtd_dist.core.action_modes import ActionMode
 from t4nmtd_dist.wire.fields import Address, Amount, Count, Finite, Name, OptionalName, Share, StateNumber, Version
 
-PROTOCOL_VERSION = 2
+PROTOCOL_VERSION = 3
 LONGEST_PATH = 4000  # below the longest list that a header may hold
 
 Role = Literal["learner", "evaluator"]
@@ -254,7 +254,7 @@ class ExperienceRequest(Message, frozen=True, tag="experience_request"):
 
 
 class ExperienceReply(Message, frozen=True, tag="experience_reply"):
-    """Peer -> learner. arrays: ``experience.*`` [T, N, ...], T steps of N copies of the world from ``first`` on.
+    """Peer -> learner. arrays: ``experience.*`` [T, N, ...], T steps of N copies of the environment from ``first`` on.
 
     ``first`` is above what was asked for where the peer does not keep the steps before it any more, and below if it
     has not made as many; ``written`` is the number of steps that it has made. ``origin`` names the record that the

@@ -19,7 +19,7 @@ class SinusoidExploration:
     """Some attempts are driven by sinusoids: per attempt one frequency (cycles a step), per action a random phase.
 
     Args:
-        count: copies of the world.
+        count: copies of the environment.
         action_size: A.
         share: share of the attempts of a learner without success that are driven so; it falls to 0
             with the square of the share of attempts that fail.
@@ -41,11 +41,11 @@ class SinusoidExploration:
         self._phase[rows] = self._rng.uniform(0, 2 * np.pi, size=(len(rows), self._phase.shape[1]))
         self._time[rows] = 0
 
-    def state(self) -> State:
+    def state_dict(self) -> State:
         """The sinusoid of every copy, for a checkpoint; the source of randomness is its owner's affair."""
         return {name: column.copy() for name, column in self._columns().items()}
 
-    def load_state(self, state: State) -> None:
+    def load_state_dict(self, state: State) -> None:
         """Go on from a ``state``."""
         for name, column in self._columns().items():
             column[:] = state[name]
@@ -69,7 +69,7 @@ class HeldActionExploration:
     is taken up with probability 0.1, and held for 1 to 20 steps.
 
     Args:
-        count: copies of the world.
+        count: copies of the environment.
         action_size: A.
         share: share of the attempts of a learner without success that are interrupted; it falls to 0
             with the square of the share of attempts that fail.
@@ -100,11 +100,11 @@ class HeldActionExploration:
         driven: NDArray[np.float32] = np.where(holding[:, None], self._held, actions)
         return driven
 
-    def state(self) -> State:
+    def state_dict(self) -> State:
         """What is held in every copy, for a checkpoint; the source of randomness is its owner's affair."""
         return {name: column.copy() for name, column in self._columns().items()}
 
-    def load_state(self, state: State) -> None:
+    def load_state_dict(self, state: State) -> None:
         """Go on from a ``state``."""
         for name, column in self._columns().items():
             column[:] = state[name]

@@ -76,7 +76,7 @@ class FlatAdam:
             maximize=False,
         )
 
-    def state(self) -> Weights:
+    def state_dict(self) -> Weights:
         """Copies of the moments [P] and the number of steps []."""
         return {
             "mean": self._mean.cpu().numpy().copy(),
@@ -84,7 +84,7 @@ class FlatAdam:
             "steps": np.array(self.steps, np.float32),
         }
 
-    def load_state(self, state: Mapping[str, NDArray[Any]]) -> None:
+    def load_state_dict(self, state: Mapping[str, NDArray[Any]]) -> None:
         """Go on from a ``state``."""
         self._mean.copy_(torch.from_numpy(state["mean"]))
         self._square.copy_(torch.from_numpy(state["square"]))

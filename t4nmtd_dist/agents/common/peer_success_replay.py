@@ -9,24 +9,24 @@ from t4nmtd_dist.agents.common.replay_buffer import Experience, Flags, Indices
 from t4nmtd_dist.method.rewards import SubtaskTables
 
 
-def target_letters(tables: SubtaskTables, delta: NDArray[np.int32]) -> Flags:
-    """The letters that take some DFA state to a target of the sub-task, bool [L]; ``delta`` is int32 [Q, L]."""
+def target_symbols(tables: SubtaskTables, delta: NDArray[np.int32]) -> Flags:
+    """The symbols that take some DFA state to a target of the sub-task, bool [L]; ``delta`` is int32 [Q, L]."""
     hits: Flags = tables.target[np.arange(len(delta))[:, None], delta]
     found: Flags = np.logical_or.reduce(hits, axis=0)
     return found
 
 
 class ChanceFinds:
-    """The rows of one peer's experience that lead to such a letter, the step that read it included.
+    """The rows of one peer's experience that lead to such a symbol, the step that read it included.
 
     They depend on what the experience holds now and on nothing else, so that a resumed run draws the same ones.
 
     Args:
-        letters: which letters count, bool [L].
+        symbols: which symbols count, bool [L].
     """
 
-    def __init__(self, letters: Flags) -> None:
-        self._letters = letters
+    def __init__(self, symbols: Flags) -> None:
+        self._symbols = symbols
         self._leads: Flags = np.zeros(0, np.bool_)
         self._seen = 0
         self._rows: Indices = np.zeros(0, np.int64)
@@ -34,12 +34,12 @@ class ChanceFinds:
     def rows(self, experience: Experience) -> Indices:
         """Their numbers [k], ascending; it is always the same experience, which may have grown."""
         if not len(self._leads):
-            self._leads = np.zeros(len(experience.letters), np.bool_)
+            self._leads = np.zeros(len(experience.symbols), np.bool_)
         first = max(self._seen, experience.written - experience.steps)
         if first < experience.written:
             new = experience.rows_of(first, experience.written - first)
             self._leads[new] = False
-            for step, copy in np.argwhere(self._letters[experience.letters[new]]).tolist():
+            for step, copy in np.argwhere(self._symbols[experience.symbols[new]]).tolist():
                 self._leads[experience.leading_to(first + step, copy)] = True
             self._seen, self._rows = experience.written, np.flatnonzero(self._leads)
         return self._rows

@@ -1,6 +1,6 @@
-"""Replay of letters: experience that can be read for any DFA state (exact relabelling), with n-step returns.
+"""Replay of symbols: experience that can be read for any DFA state (exact relabelling), with n-step returns.
 
-A row holds what the world did: <s, a, letter, s'>. What that means for the task (q', reward, boundary) follows from
+A row holds what the environment did: <s, a, symbol, s'>. What it means for the task (q', reward, boundary) follows from
 the DFA state in which one reads it, so it is computed when a batch is drawn, never stored. An experience thus serves
 every DFA state in which the sub-task has a transition, and no reward is guessed. It serves the sub-tasks of peers
 likewise (docs/decisions/016): ``since`` hands rows out, ``extend`` takes those of another learner in.
@@ -24,7 +24,7 @@ from t4nmtd_dist.method.rewards import SubtaskTables
 Flags = NDArray[np.bool_]
 Indices = NDArray[np.int64]
 BEFORE_SUCCESS = 60
-SHARED = ("observations", "next_observations", "actions", "letters", "terminated", "ended")
+SHARED = ("observations", "next_observations", "actions", "symbols", "terminated", "ended")
 
 
 @dataclass(frozen=True)
@@ -87,7 +87,7 @@ class RowSet:
 
 
 class Experience:
-    """A ring of ``steps`` time steps of N copies of the world; flat row number = (step modulo ``steps``) * N + copy.
+    """A ring of ``steps`` time steps of N copies of the environment; flat row = (step modulo ``steps``) * N + copy.
 
     Args:
         steps: time steps kept, at least one.
@@ -107,7 +107,7 @@ class Experience:
         self.next_observations = np.zeros((rows, observation_size), np.float32)
         self.actions = np.zeros((rows, action_size), np.float32)
         self.q = np.zeros(rows, np.int32)
-        self.letters = np.zeros(rows, np.int64)
+        self.symbols = np.zeros(rows, np.int64)
         self.terminated = np.zeros(rows, np.bool_)
         self.ended = np.ones(rows, np.bool_)
         self._written = 0
@@ -131,7 +131,7 @@ class Experience:
         observations: Observations,
         q: NDArray[np.int32],
         actions: NDArray[np.float32],
-        letters: NDArray[np.int64],
+        symbols: NDArray[np.int64],
         next_observations: Observations,
         terminated: Flags,
         ended: Flags,
@@ -145,7 +145,7 @@ class Experience:
         self._before_success.discard(rows)
         with self._lock:
             self.observations[rows], self.next_observations[rows] = observations, next_observations
-            self.actions[rows], self.q[rows], self.letters[rows] = actions, q, letters
+            self.actions[rows], self.q[rows], self.symbols[rows] = actions, q, symbols
             self.terminated[rows], self.ended[rows] = terminated, ended
             self._written += 1
         for copy in np.flatnonzero(reached):
@@ -179,7 +179,7 @@ class Experience:
             columns: as from ``since`` of an experience of the same shapes.
             follows: they come right after those stored last; otherwise all attempts count as ended in between.
         """
-        steps = min(len(columns["letters"]), self.steps)
+        steps = min(len(columns["symbols"]), self.steps)
         rows = self.rows_of(self._written, steps)
         self._before_success.discard(rows.ravel())
         with self._lock:
@@ -221,8 +221,8 @@ class Experience:
         newest = ((self._written - 1) % self.steps) * self._count
         row = rows.copy()
         for _ in range(n):
-            reached = delta[q, self.letters[row]]
-            gained = tables.reward[q, reached] - np.where(self.terminated[row], tables.kept_potential[reached], 0.0)
+            reached = delta[q, self.symbols[row]]
+            gained = tables.reward[q, reached] - np.where(self.terminated[row], tables.carried_potential[reached], 0.0)
             reward += np.where(going, discount * gained, 0.0)
             discount = np.where(going, discount * gamma, discount)
             last, q_next = np.where(going, row, last), np.where(going, reached, q_next)
@@ -234,7 +234,7 @@ class Experience:
         terminal = tables.terminal[q_next] | self.terminated[last]
         return Returns(reward, np.where(terminal, 0.0, discount), last, q_next, (q_next != q) & ~terminal)
 
-    def state(self) -> dict[str, NDArray[Any]]:
+    def state_dict(self) -> dict[str, NDArray[Any]]:
         """Everything needed to go on, as arrays; views of the filled part, to be written before the next ``add``."""
         filled = {name: column[: len(self)] for name, column in self._columns().items()}
         written = np.array(self._written, np.int64)
@@ -263,7 +263,7 @@ class Experience:
             "next_observations": self.next_observations,
             "actions": self.actions,
             "q": self.q,
-            "letters": self.letters,
+            "symbols": self.symbols,
             "terminated": self.terminated,
             "ended": self.ended,
         }

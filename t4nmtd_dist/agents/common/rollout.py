@@ -1,4 +1,4 @@
-"""Attempts at one sub-task in N copies of the world (paper, Algorithm 2, lines 1 to 10, without learning)."""
+"""Attempts at one sub-task in N copies of the environment (paper, Algorithm 2, lines 1 to 10, without learning)."""
 
 from __future__ import annotations
 
@@ -10,10 +10,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from t4nmtd_dist.core.errors import WorldError
+from t4nmtd_dist.core.errors import EnvError
 from t4nmtd_dist.core.state_dict import State, stacked
-from t4nmtd_dist.environments.batched import BatchedWorld, Observations, Rows
-from t4nmtd_dist.method.rewards import LetterReader, SubtaskTables
+from t4nmtd_dist.environments.batched import BatchedEnv, Observations, Rows
+from t4nmtd_dist.method.rewards import SubtaskTables, SymbolReader
 from t4nmtd_dist.method.start_states import InitialStateBuffer, StartState, sample_starts
 
 NO_TARGET = -1
@@ -35,7 +35,7 @@ class AttemptStep:
         changed: the DFA moved to another state.
         terminal: F, E or an environment that ended: the critic's value of s' is 0.
         ended: the attempt is over; the copy has begun another.
-        letters: what the DFA read, int64 [N].
+        symbols: what the DFA read, int64 [N].
         terminated: the environment ended.
         reached: a target was reached.
     """
@@ -46,7 +46,7 @@ class AttemptStep:
     changed: Mask
     terminal: Mask
     ended: Mask
-    letters: NDArray[np.int64]
+    symbols: NDArray[np.int64]
     terminated: Mask
     reached: Mask
 
@@ -74,13 +74,13 @@ class Endings:
 
 
 class Attempts:
-    """N copies of the world, each always within an attempt at the sub-task.
+    """N copies of the environment, each always within an attempt at the sub-task.
 
     Args:
-        world: the copies; every one of their steps is counted in ``interactions``, replayed ones too.
-        reader: letters of the DFA from the world's labels.
+        env: the copies; every one of their steps is counted in ``interactions``, replayed ones too.
+        reader: symbols of the DFA from the environment's labels.
         tables: the sub-task.
-        delta: the DFA's transition table, int32 [Q, letters].
+        delta: the DFA's transition table, int32 [Q, symbols].
         buffer: where attempts begin.
         reset_q: the initial DFA state if the sub-task is available there, else None.
         attempt_steps: steps after which an attempt is cut.
@@ -94,8 +94,8 @@ class Attempts:
 
     def __init__(
         self,
-        world: BatchedWorld,
-        reader: LetterReader,
+        env: BatchedEnv,
+        reader: SymbolReader,
         tables: SubtaskTables,
         delta: NDArray[np.int32],
         buffer: InitialStateBuffer,
@@ -105,15 +105,15 @@ class Attempts:
         hand_over_all: bool,
         rng: np.random.Generator,
     ) -> None:
-        self._world, self._reader, self._tables, self._delta = world, reader, tables, delta
+        self._env, self._reader, self._tables, self._delta = env, reader, tables, delta
         self._buffer, self._reset_q, self._attempt_steps, self._rng = buffer, reset_q, attempt_steps, rng
-        self.observations: Observations = np.zeros((world.count, world.observation_size), dtype=np.float32)
-        self.q: States = np.zeros(world.count, dtype=np.int32)
-        self._steps = np.zeros(world.count, dtype=np.int32)
-        self._steps_in_q = np.zeros(world.count, dtype=np.int32)
+        self.observations: Observations = np.zeros((env.count, env.observation_size), dtype=np.float32)
+        self.q: States = np.zeros(env.count, dtype=np.int32)
+        self._steps = np.zeros(env.count, dtype=np.int32)
+        self._steps_in_q = np.zeros(env.count, dtype=np.int32)
         self._hand_over_all = hand_over_all
         self._seeds = rng.spawn(1)[0]
-        self._seeded = np.zeros(world.count, dtype=np.bool_)
+        self._seeded = np.zeros(env.count, dtype=np.bool_)
         self._begun = False
         self.pulse: Callable[[], None] = lambda: None
         self.tell: Callable[[str], None] = print
@@ -137,13 +137,13 @@ class Attempts:
         """Mean length of the last attempts in steps."""
         return float(np.mean([steps for _, steps in self._recent])) if self._recent else None
 
-    def state(self) -> State:
+    def state_dict(self) -> State:
         """Everything that decides how the attempts go on, and all counts, for a checkpoint."""
         progress = self.progress
         return {
             "columns": {name: column.copy() for name, column in self._columns().items()},
             "begun": self._begun,
-            "world": self._world.state() if self._begun else None,
+            "env": self._env.state_dict() if self._begun else None,
             "rng": self._rng.bit_generator.state,
             "seeds": self._seeds.bit_generator.state,
             "counts": [self.interactions, self.attempts, self.successes, *vars(self.endings).values()],
@@ -152,13 +152,13 @@ class Attempts:
             "starts": {"q": [q for q, _ in progress.starts], "states": stacked([s for _, s in progress.starts])},
         }
 
-    def load_state(self, state: State) -> None:
+    def load_state_dict(self, state: State) -> None:
         """Go on from a ``state`` of attempts at the same sub-task in as many copies."""
         for name, column in self._columns().items():
             column[:] = state["columns"][name]
         self._begun = state["begun"]
         if self._begun:
-            self._world.load_state(state["world"])
+            self._env.load_state_dict(state["env"])
         self._rng.bit_generator.state, self._seeds.bit_generator.state = state["rng"], state["seeds"]
         self.interactions, self.attempts, self.successes, *endings = state["counts"]
         self.endings = Endings(*endings)  # those of an earlier version are not known
@@ -184,7 +184,7 @@ class Attempts:
     def begin(self) -> bool:
         """Start the first attempt of every copy, if that has not been done; False while there is no start state."""
         if not self._begun:
-            self._begun = self._start(np.arange(self._world.count))
+            self._begun = self._start(np.arange(self._env.count))
         return self._begun
 
     def _start(self, rows: Rows) -> bool:
@@ -206,7 +206,7 @@ class Attempts:
         for part, seeds in ((rows[~self._seeded[rows]], True), (rows[self._seeded[rows]], False)):
             if len(part):
                 seed = int(self._seeds.integers(2**31)) if seeds else None
-                self.observations[part] = self._world.reset(part, seed)
+                self.observations[part] = self._env.reset(part, seed)
                 self._seeded[part] = True
 
     def _restore(self, rows: Rows, starts: list[StartState], places: Rows) -> bool:
@@ -216,23 +216,23 @@ class Attempts:
             False if none is left to replace it.
 
         Raises:
-            WorldError: if one after another cannot be restored: it is the environment that fails.
+            EnvError: if one after another cannot be restored: it is the environment that fails.
         """
         if not len(places):
             return True
-        before = self._world.replayed
+        before = self._env.replayed
         try:
             self._restore_all(rows[places], [starts[place] for place in places])
             return True
         except Exception:  # whatever an environment makes of a state from elsewhere
             return all(self._restore_one(rows, starts, place) for place in places)
         finally:
-            self.interactions += self._world.replayed - before
+            self.interactions += self._env.replayed - before
 
     def _restore_all(self, rows: Rows, starts: list[StartState]) -> None:
-        observations = self._world.restore(rows, [start.state for start in starts if start.state is not None])
+        observations = self._env.restore(rows, [start.state for start in starts if start.state is not None])
         if not np.isfinite(observations).all():
-            raise WorldError("its observation holds NaN or infinity")
+            raise EnvError("its observation holds NaN or infinity")
         self.observations[rows] = observations
         self._failures, self._restored = 0, starts[-1]
 
@@ -255,7 +255,7 @@ class Attempts:
         """Do without a start state; the first is told of."""
         self._failures += 1
         if self._failures >= MOST_FAILURES:
-            raise WorldError(
+            raise EnvError(
                 f"{self._failures} start states in a row could not be restored, the last for {type(error).__name__}: "
                 f"{error}; mend how the environment restores states (t4nmtd check), or choose another way (snapshots)"
             ) from error
@@ -269,36 +269,36 @@ class Attempts:
         """Act in every copy, move the DFA, and begin again where an attempt is over."""
         self.pulse()
         tables, q = self._tables, self.q
-        world_step = self._world.step(actions)
-        self.interactions += self._world.count
+        env_step = self._env.step(actions)
+        self.interactions += self._env.count
         self._steps += 1
         self._steps_in_q += 1
-        letters = self._reader.letters(world_step.labels)
-        q_next = self._delta[q, letters]
+        symbols = self._reader.symbols(env_step.labels)
+        q_next = self._delta[q, symbols]
         changed = q_next != q
         reached = tables.target[q, q_next]
-        terminal = tables.terminal[q_next] | world_step.terminated
+        terminal = tables.terminal[q_next] | env_step.terminated
         stranded = changed & ~tables.available[q_next]
-        timed_out = world_step.truncated | (self._steps >= self._attempt_steps)
+        timed_out = env_step.truncated | (self._steps >= self._attempt_steps)
         ended = reached | terminal | stranded | timed_out
-        reward = tables.reward[q, q_next] - np.where(world_step.terminated, tables.kept_potential[q_next], 0.0)
+        reward = tables.reward[q, q_next] - np.where(env_step.terminated, tables.carried_potential[q_next], 0.0)
         result = AttemptStep(
             reward=reward,
-            next_observations=world_step.observations.copy(),
+            next_observations=env_step.observations.copy(),
             q_next=q_next,
             changed=changed,
             terminal=terminal,
             ended=ended,
-            letters=letters,
-            terminated=world_step.terminated,
+            symbols=symbols,
+            terminated=env_step.terminated,
             reached=reached,
         )
         self._note(result)
-        self.observations[:] = world_step.observations
+        self.observations[:] = env_step.observations
         self.q = q_next.copy()  # restarts write into it; the experience keeps its own
         self._steps_in_q[changed] = 0
         if ended.any() and not self._start(np.flatnonzero(ended)):
-            raise WorldError("no attempt can begin any more: no start state that there was could be restored")
+            raise EnvError("no attempt can begin any more: no start state that there was could be restored")
         return result
 
     def _note(self, step: AttemptStep) -> None:
@@ -317,7 +317,7 @@ class Attempts:
         self._count_endings(step)
         handed = np.flatnonzero((step.changed if self._hand_over_all else step.reached) & ~step.terminal)
         if len(handed):
-            states = self._world.snapshot(handed)
+            states = self._env.snapshot(handed)
             self.progress.starts += [(int(step.q_next[r]), s) for r, s in zip(handed, states, strict=True)]
 
     def _count_endings(self, step: AttemptStep) -> None:

@@ -160,7 +160,7 @@ class PPOLearner:
 
     Args:
         pid: the sub-task.
-        attempts: N copies of the world within attempts.
+        attempts: N copies of the environment within attempts.
         config: settings shared by all learners.
         ppo: settings of PPO.
         high_level: a copy of the coordinator's Q table, for E(Q, q').
@@ -244,23 +244,23 @@ class PPOLearner:
         self.version = version
         self.published.update(self.network.critic, version, self._normalisation.weights())
 
-    def state(self) -> State:
-        """See ``Learner.state``; a roll-out is over between two iterations, so it is no part."""
+    def state_dict(self) -> State:
+        """See ``Learner.state_dict``; a roll-out is over between two iterations, so it is no part."""
         return {
             "weights": self.weights(),
-            "optimiser": self._optimiser.state(),
-            "attempts": self.attempts.state(),
+            "optimiser": self._optimiser.state_dict(),
+            "attempts": self.attempts.state_dict(),
             "rng": self._rng.bit_generator.state,
             "gradient_steps": self.gradient_steps,
             "version": self.version,
             "losses": self.losses(),
         }
 
-    def load_state(self, state: State) -> None:
-        """See ``Learner.load_state``."""
+    def load_state_dict(self, state: State) -> None:
+        """See ``Learner.load_state_dict``."""
         self.load(state["weights"], state["version"])
-        self._optimiser.load_state(state["optimiser"])
-        self.attempts.load_state(state["attempts"])
+        self._optimiser.load_state_dict(state["optimiser"])
+        self.attempts.load_state_dict(state["attempts"])
         self._rng.bit_generator.state = state["rng"]
         self.gradient_steps = state["gradient_steps"]
         entropy, value_loss = state["losses"]
@@ -301,8 +301,10 @@ class PPOLearner:
 
     def _ask(self, t: int, crossed: Mask, peers: PeerCritics) -> None:
         rollout = self._rollout
-        heirs = {n: self.high_level.choose(int(rollout.boundary_q[t, n]), self._rng) for n in np.flatnonzero(crossed)}
-        others = {n: pid for n, pid in heirs.items() if pid is not None and pid != self.pid}
+        successors = {
+            n: self.high_level.choose(int(rollout.boundary_q[t, n]), self._rng) for n in np.flatnonzero(crossed)
+        }
+        others = {n: pid for n, pid in successors.items() if pid is not None and pid != self.pid}
         if others:
             copies = np.array(list(others), np.int64)
             rows = t * rollout.rewards.shape[1] + copies

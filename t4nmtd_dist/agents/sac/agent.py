@@ -52,9 +52,9 @@ class SACLearner:
 
     Args:
         pid: the sub-task.
-        attempts: N copies of the world within attempts.
+        attempts: N copies of the environment within attempts.
         tables: the sub-task, to read experience for any of its DFA states.
-        delta: the DFA's transition table, int32 [Q, letters].
+        delta: the DFA's transition table, int32 [Q, symbols].
         config: settings shared by all learners.
         sac: settings of SAC.
         high_level: a copy of the coordinator's Q table, for E(Q, q').
@@ -160,15 +160,15 @@ class SACLearner:
         found = self.updater.losses()
         return (found["entropy"], found["critic_loss"]) if found else self._earlier_losses
 
-    def state(self) -> State:
-        """See ``Learner.state``; the replay's arrays are views."""
+    def state_dict(self) -> State:
+        """See ``Learner.state_dict``; the replay's arrays are views."""
         return {
             "weights": self.updater.weights() | self._normalisation.weights(),
             "optimisers": self.updater.optimiser_state(),
-            "experience": self.experience.state(),
-            "waves": self._waves.state(),
-            "holds": self._holds.state(),
-            "attempts": self.attempts.state(),
+            "experience": self.experience.state_dict(),
+            "waves": self._waves.state_dict(),
+            "holds": self._holds.state_dict(),
+            "attempts": self.attempts.state_dict(),
             "rng": self._rng.bit_generator.state,
             "owed": self._owed,
             "ahead": [vars(drawn) for drawn in self._ahead],
@@ -178,14 +178,14 @@ class SACLearner:
             "losses": self.losses(),
         }
 
-    def load_state(self, state: State) -> None:
-        """See ``Learner.load_state``; peers are asked again about the batches that were drawn ahead."""
+    def load_state_dict(self, state: State) -> None:
+        """See ``Learner.load_state_dict``; peers are asked again about the batches that were drawn ahead."""
         self.experience.load(state["experience"])
         self.load(state["weights"], state["version"])
         self.updater.load_optimiser_state(state["optimisers"])
-        self._waves.load_state(state["waves"])
-        self._holds.load_state(state["holds"])
-        self.attempts.load_state(state["attempts"])
+        self._waves.load_state_dict(state["waves"])
+        self._holds.load_state_dict(state["holds"])
+        self.attempts.load_state_dict(state["attempts"])
         self._rng.bit_generator.state = state["rng"]
         self._owed, self._fresh[:] = state["owed"], state["fresh"]
         self._ahead = deque(
@@ -219,7 +219,7 @@ class SACLearner:
         actions = self._waves.drive(self._holds.drive(chosen))
         step = attempts.step(scaled(actions, self._low, self._high))
         self.experience.add(
-            observations, q, actions, step.letters, step.next_observations, step.terminated, step.ended, step.reached
+            observations, q, actions, step.symbols, step.next_observations, step.terminated, step.ended, step.reached
         )
         self._fresh = step.ended
 

@@ -11,7 +11,7 @@ import torch
 from numpy.typing import NDArray
 
 from t4nmtd_dist.agents.common.normalisation import Normalisation
-from t4nmtd_dist.agents.common.peer_success_replay import ChanceFinds, target_letters
+from t4nmtd_dist.agents.common.peer_success_replay import ChanceFinds, target_symbols
 from t4nmtd_dist.agents.common.peer_values import Questions, RowNumbers
 from t4nmtd_dist.agents.common.replay_buffer import Experience
 from t4nmtd_dist.agents.sac.interface import SACBatch
@@ -100,7 +100,7 @@ class BatchSource:
         pid: the sub-task.
         experience: the learner's own.
         tables: the sub-task, to read experience for any of its DFA states.
-        delta: the DFA's transition table, int32 [Q, letters].
+        delta: the DFA's transition table, int32 [Q, symbols].
         config: settings shared by all learners.
         sac: settings of SAC.
         high_level: the learner's copy of the coordinator's Q table, for E(Q, q').
@@ -150,7 +150,7 @@ class BatchSource:
         if peers_rows:
             parts.append(self._peers_rows(others, peers_rows, success))
         read = _Reading.joined(parts)
-        asked_rows, asked_pids = self._heirs(read)
+        asked_rows, asked_pids = self._successors(read)
         return DrawnBatch(
             number=number,
             states=read.states,
@@ -188,7 +188,7 @@ class BatchSource:
     def _finds_in(self, experience: Experience) -> RowNumbers:
         finds = self._finds.get(experience)
         if finds is None:
-            finds = ChanceFinds(target_letters(self.tables, self._delta))
+            finds = ChanceFinds(target_symbols(self.tables, self._delta))
             self._finds[experience] = finds
         return finds.rows(experience)
 
@@ -208,7 +208,7 @@ class BatchSource:
             boundary=returns.boundary,
         )
 
-    def _heirs(self, read: _Reading) -> tuple[RowNumbers, tuple[str, ...]]:
+    def _successors(self, read: _Reading) -> tuple[RowNumbers, tuple[str, ...]]:
         """The rows that hand over to another sub-task, and to which: T' ~ E(Q, q')."""
         boundary = np.flatnonzero(read.boundary)
         pids = [self.high_level.choose(q, self._rng) for q in read.q_next[boundary].tolist()]

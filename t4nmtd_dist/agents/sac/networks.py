@@ -218,7 +218,7 @@ def _layer_activations(shape: StackShape, rows: int, width: int, dtype: torch.dt
     return LayerActivations(linear, hidden, delta, [])
 
 
-class GrowingRoom:
+class GrowingWorkspace:
     """Room for evaluations of any number of rows, one after the other: kept, and replaced by a larger one if needed.
 
     Args:
@@ -251,18 +251,18 @@ def _repacked(buffer: Tensor, axis: int, rows: int) -> Tensor:
     return buffer.view(-1)[: math.prod(size)].view(size)
 
 
-def evaluate(layers: Layers, inputs: Tensor, room: Activations) -> Tensor:
-    """Outputs [n, outputs, rows] of all networks of a stack on the same inputs [rows, inputs]; they lie in ``room``."""
+def evaluate(layers: Layers, inputs: Tensor, workspace: Activations) -> Tensor:
+    """Outputs [n, outputs, rows] of all networks of a stack on inputs [rows, inputs]; they lie in ``workspace``."""
     below = inputs.expand(len(layers.head_bias), *inputs.shape)
-    for layer, activations in zip(layers.hidden, room.layers, strict=True):
+    for layer, activations in zip(layers.hidden, workspace.layers, strict=True):
         multiply_add(layer.bias, below, layer.weight, activations.linear)
         if layer.gain is None or layer.shift is None:
             torch.relu_(activations.hidden)
         else:
             _normalise(layer.gain, layer.shift, activations)
         below = activations.hidden
-    multiply_add(layers.head_bias, layers.head_weight, below.transpose(1, 2), room.outputs)
-    return room.outputs
+    multiply_add(layers.head_bias, layers.head_weight, below.transpose(1, 2), workspace.outputs)
+    return workspace.outputs
 
 
 def _normalise(gain: Tensor, shift: Tensor, activations: LayerActivations) -> None:

@@ -140,7 +140,7 @@ class SACParameters:
         named = {
             f"{part}.{name}": array
             for part, optimiser in self._optimisers.items()
-            for name, array in optimiser.state().items()
+            for name, array in optimiser.state_dict().items()
         }
         averaged = np.array(self._averaged, np.int64)
         return named | {"averaged": averaged, "generator": self._generator.get_state().numpy().copy()}
@@ -148,6 +148,6 @@ class SACParameters:
     def load_optimiser_state(self, state: Mapping[str, NDArray[Any]]) -> None:
         """See ``SoftActorCritic.load_optimiser_state``."""
         for part, optimiser in self._optimisers.items():
-            optimiser.load_state(part_of(state, part))
+            optimiser.load_state_dict(part_of(state, part))
         self._averaged = int(state.get("averaged", state["actor.steps"]))  # checkpoints of before lack the first
         self._generator.set_state(torch.from_numpy(np.asarray(state["generator"], np.uint8)))

@@ -60,7 +60,7 @@ class PeerExperience(PeerClient[_Line]):
         context: the process's ZeroMQ context.
         sender: the name that requests carry.
         make: room for the experience of one peer.
-        letters: how many letters the DFA reads.
+        symbols: how many symbols the DFA reads.
         keys: this worker's own, if the coordinator has keys.
         clock: seconds that only grow.
         tell: called with a line about the first answer over a connection that does not fit.
@@ -74,13 +74,13 @@ class PeerExperience(PeerClient[_Line]):
         context: Context,
         sender: str,
         make: Callable[[], Experience],
-        letters: int,
+        symbols: int,
         keys: ClientKeys | None = None,
         clock: Callable[[], float] = time.monotonic,
         tell: Tell = lambda text: None,
     ) -> None:
         super().__init__(context, sender, keys, _Line, clock)
-        self._make, self._letters, self._tell = make, letters, tell
+        self._make, self._symbols, self._tell = make, symbols, tell
         self.copies: dict[str, Experience] = {}
 
     def pull(self) -> None:
@@ -112,14 +112,14 @@ class PeerExperience(PeerClient[_Line]):
         if room is None:
             room = self._make()
         try:
-            columns = checked_columns(without_prefix("experience.", envelope.arrays), room, self._letters)
+            columns = checked_columns(without_prefix("experience.", envelope.arrays), room, self._symbols)
         except ProtocolError as error:
             if not line.misfit:
                 self._tell(f"dropping what {pid} at {line.peer.endpoint} tells of its experience: {error}")
                 line.misfit = True
             line.ask_at = self._clock() + AFTER_MISFIT_S
             return
-        steps = len(columns["letters"])
+        steps = len(columns["symbols"])
         if steps:
             room.extend(columns, follows=reply.first == line.stored)
             self.copies[pid], line.stored = room, reply.first + steps
@@ -128,22 +128,22 @@ class PeerExperience(PeerClient[_Line]):
             line.ask_at = self._clock() + ASK_FOR_REST_AFTER_S
 
 
-def checked_columns(arrays: Mapping[str, NDArray[Any]], room: Experience, letters: int) -> dict[str, NDArray[Any]]:
+def checked_columns(arrays: Mapping[str, NDArray[Any]], room: Experience, symbols: int) -> dict[str, NDArray[Any]]:
     """The columns of an answer.
 
     Args:
         arrays: of the message.
         room: where they are to be stored.
-        letters: how many letters the DFA reads.
+        symbols: how many symbols the DFA reads.
 
     Raises:
         ProtocolError: if a column is missing, of another shape or type than ``room`` has, not finite, or names a
-            letter that there is not.
+            symbol that there is not.
     """
     _, expected = room.since(room.written, 1)
     if set(arrays) != set(expected):
         raise ProtocolError(f"experience has columns {sorted(arrays)}, expected {sorted(expected)}")
-    steps = len(arrays["letters"]) if arrays["letters"].ndim else 0
+    steps = len(arrays["symbols"]) if arrays["symbols"].ndim else 0
     for name, like in expected.items():
         array = arrays[name]
         if array.shape != (steps, *like.shape[1:]) or array.dtype != like.dtype:
@@ -151,6 +151,6 @@ def checked_columns(arrays: Mapping[str, NDArray[Any]], room: Experience, letter
             raise ProtocolError(f"{name} is {array.dtype} {array.shape}, expected {like.dtype} {shape}")
         if not np.isfinite(array).all():
             raise ProtocolError(f"{name} is expected to be finite")
-    if steps and not (arrays["letters"].min() >= 0 and arrays["letters"].max() < letters):
-        raise ProtocolError(f"experience names a letter outside 0..{letters - 1}")
+    if steps and not (arrays["symbols"].min() >= 0 and arrays["symbols"].max() < symbols):
+        raise ProtocolError(f"experience names a symbol outside 0..{symbols - 1}")
     return dict(arrays)

@@ -22,29 +22,31 @@ _relu_backward = torch.ops.aten.threshold_backward.grad_input
 _layer_norm_backward = torch.ops.aten.native_layer_norm_backward
 
 
-def weight_gradients(layers: Layers, gradients: Layers, inputs: Tensor, room: Activations, d_outputs: Tensor) -> None:
+def weight_gradients(
+    layers: Layers, gradients: Layers, inputs: Tensor, workspace: Activations, d_outputs: Tensor
+) -> None:
     """Write the gradients of all parameters of a stack.
 
     Args:
         layers: its parameters.
         gradients: views of the flat gradient, overwritten.
         inputs: what was evaluated [rows, inputs].
-        room: the activations of that evaluation; their ``delta`` is overwritten.
+        workspace: the activations of that evaluation; their ``delta`` is overwritten.
         d_outputs: derivative of the loss by the outputs [n, outputs, rows].
     """
-    top = room.layers[-1]
+    top = workspace.layers[-1]
     multiply(d_outputs, top.hidden, gradients.head_weight)
     torch.sum(d_outputs, 2, keepdim=True, out=gradients.head_bias)
     _through_head(layers.head_weight, d_outputs, top.delta)
     for number in reversed(range(len(layers.hidden))):
-        activations, gradient = room.layers[number], gradients.hidden[number]
-        below = room.layers[number - 1].hidden if number else inputs.expand(len(d_outputs), *inputs.shape)
+        activations, gradient = workspace.layers[number], gradients.hidden[number]
+        below = workspace.layers[number - 1].hidden if number else inputs.expand(len(d_outputs), *inputs.shape)
         _through_activation(layers.hidden[number], gradient, activations)
         multiply(below.transpose(1, 2), activations.delta, gradient.weight)
         torch.sum(activations.delta, 1, keepdim=True, out=gradient.bias)
         if number:
             weight = layers.hidden[number].weight
-            multiply(activations.delta, weight.transpose(1, 2), room.layers[number - 1].delta)
+            multiply(activations.delta, weight.transpose(1, 2), workspace.layers[number - 1].delta)
 
 
 def _through_head(weight: Tensor, d_outputs: Tensor, delta: Tensor) -> None:
@@ -68,7 +70,7 @@ def _through_activation(layer: HiddenLayer, gradient: HiddenLayer, activations: 
 
 
 def chosen_input_gradient(
-    layers: Layers, room: Activations, choice: NDArray[np.integer[Any]], first_input: int
+    layers: Layers, workspace: Activations, choice: NDArray[np.integer[Any]], first_input: int
 ) -> NDArray[np.floating[Any]]:
     """Derivative of every row's *chosen* network's only output by its last inputs.
 
@@ -76,7 +78,7 @@ def chosen_input_gradient(
 
     Args:
         layers: parameters of a stack with one output.
-        room: the activations of its evaluation; their ``delta`` is overwritten.
+        workspace: the activations of its evaluation; their ``delta`` is overwritten.
         choice: the network of each row [rows].
         first_input: derivatives are by the inputs from this one on.
 
@@ -84,15 +86,15 @@ def chosen_input_gradient(
         [inputs - first_input, rows], transposed as the outputs are.
     """
     order, groups = _grouped(choice, len(layers.head_bias))
-    picked = torch.from_numpy(choice[order] * room.rows + order)
-    delta = room.layers[-1].delta.view(-1, layers.head_weight.shape[2])[: room.rows]
+    picked = torch.from_numpy(choice[order] * workspace.rows + order)
+    delta = workspace.layers[-1].delta.view(-1, layers.head_weight.shape[2])[: workspace.rows]
     for n, group in groups:
         delta[group] = layers.head_weight[n]
     for number in reversed(range(len(layers.hidden))):
         layer = layers.hidden[number]
-        _through_chosen_activation(layer, room.layers[number], delta, picked, groups)
+        _through_chosen_activation(layer, workspace.layers[number], delta, picked, groups)
         if number:
-            lower = room.layers[number - 1].delta.view(-1, layer.weight.shape[1])[: room.rows]
+            lower = workspace.layers[number - 1].delta.view(-1, layer.weight.shape[1])[: workspace.rows]
             for n, group in groups:
                 multiply(delta[group], layer.weight[n].t(), lower[group])
             delta = lower

@@ -22,11 +22,11 @@ from t4nmtd_dist.agents.common.squashed_gaussian import (
 )
 from t4nmtd_dist.agents.sac.fast_cpu.backward import chosen_input_gradient, weight_gradients
 from t4nmtd_dist.agents.sac.interface import Floats, PeerSoftValues, SACBatch, SACSettings
-from t4nmtd_dist.agents.sac.networks import Activations, GrowingRoom, StackShape, evaluate, layers_of
+from t4nmtd_dist.agents.sac.networks import Activations, GrowingWorkspace, StackShape, evaluate, layers_of
 from t4nmtd_dist.agents.sac.parameters import NO_UPDATE, LastUpdate, SACParameters
 
 
-class _Room:
+class _Workspace:
     """Buffers for the update of a batch of a given size; names ending in ``array`` are numpy views of tensors.
 
     ``inputs`` [2 B, d + A] holds <s, a> above <s', a'>: its columns up to d are what the actor sees.
@@ -62,8 +62,8 @@ class SACUpdater(SACParameters):
         actor, critics = self._actor.shape, self._critics.shape
         self._actor_gradients = layers_of(self._optimisers["actor"].gradient, actor)
         self._critic_gradients = layers_of(self._optimisers["critics"].gradient, critics)
-        self._acting_room, self._valuing_room = GrowingRoom(actor), GrowingRoom(critics)
-        self._room: _Room | None = None
+        self._acting_workspace, self._valuing_workspace = GrowingWorkspace(actor), GrowingWorkspace(critics)
+        self._workspace: _Workspace | None = None
         self._last: LastUpdate | None = None
 
     # Acting
@@ -76,7 +76,7 @@ class SACUpdater(SACParameters):
         return np.ascontiguousarray(drawn.T, np.float32)
 
     def _actor_outputs(self, states: Tensor) -> Reals:
-        outputs: Reals = evaluate(self._actor.layers, states, self._acting_room.of(len(states)))[0].numpy()
+        outputs: Reals = evaluate(self._actor.layers, states, self._acting_workspace.of(len(states)))[0].numpy()
         return outputs
 
     def _sample(self, outputs: Reals) -> SquashedSample:
@@ -89,7 +89,7 @@ class SACUpdater(SACParameters):
         inputs[:, : self._state_size] = torch.from_numpy(states)
         sample = self._sample(self._actor_outputs(inputs[:, : self._state_size]))
         inputs[:, self._state_size :] = torch.from_numpy(sample.actions.T)
-        values = evaluate(self._targets.layers, inputs, self._valuing_room.of(len(states)))[:, 0].numpy()
+        values = evaluate(self._targets.layers, inputs, self._valuing_workspace.of(len(states)))[:, 0].numpy()
         return values.min(0), sample.log_probs.astype(np.float32, copy=False)
 
     # Learning
@@ -101,36 +101,36 @@ class SACUpdater(SACParameters):
     @torch.no_grad()
     def update_with_noise(self, batch: SACBatch, noise: Floats, peers: PeerSoftValues | None = None) -> None:
         """See ``SoftActorCritic.update_with_noise``."""
-        room = self._load(batch)
+        workspace = self._load(batch)
         alpha = math.exp(self._log_alpha_array[0])
         if not self._actor_is_due:
-            following = self._sample_from(room, noise, slice(room.rows, None))
-            targets = self._soft_targets(batch, room, following, alpha, peers)
-            self._step_critics(room, targets)
+            following = self._sample_from(workspace, noise, slice(workspace.rows, None))
+            targets = self._soft_targets(batch, workspace, following, alpha, peers)
+            self._step_critics(workspace, targets)
         else:
-            sample = self._sample_from(room, noise, slice(None))
-            own = sample.part(slice(room.rows))
+            sample = self._sample_from(workspace, noise, slice(None))
+            own = sample.part(slice(workspace.rows))
             self._step_alpha(own.log_probs)
-            targets = self._soft_targets(batch, room, sample.part(slice(room.rows, None)), alpha, peers)
-            errors = self._step_critics(room, targets)
-            values = self._step_actor(room, own, alpha)
+            targets = self._soft_targets(batch, workspace, sample.part(slice(workspace.rows, None)), alpha, peers)
+            errors = self._step_critics(workspace, targets)
+            values = self._step_actor(workspace, own, alpha)
             self._last = LastUpdate(errors, targets, own.log_probs, values, alpha)
         self._targets.flat.lerp_(self._critics.flat, self.settings.tau)
 
-    def _sample_from(self, room: _Room, noise: Floats, rows: slice) -> SquashedSample:
-        states = room.states[rows]
-        outputs = evaluate(self._actor.layers, states, room.actor.first(len(states)))
+    def _sample_from(self, workspace: _Workspace, noise: Floats, rows: slice) -> SquashedSample:
+        states = workspace.states[rows]
+        outputs = evaluate(self._actor.layers, states, workspace.actor.first(len(states)))
         return squashed_sample(outputs[0].numpy(), noise[:, rows])
 
-    def _load(self, batch: SACBatch) -> _Room:
+    def _load(self, batch: SACBatch) -> _Workspace:
         rows, size = len(batch.rewards), self._state_size
-        if self._room is None or self._room.rows != rows:
-            self._room = _Room(rows, size, self._actor.shape, self._critics.shape)
-        room = self._room
-        room.current_array[:, :size] = batch.states.numpy()
-        room.current_array[:, size:] = batch.actions.numpy()
-        room.following_array[:, :size] = batch.next_states.numpy()
-        return room
+        if self._workspace is None or self._workspace.rows != rows:
+            self._workspace = _Workspace(rows, size, self._actor.shape, self._critics.shape)
+        workspace = self._workspace
+        workspace.current_array[:, :size] = batch.states.numpy()
+        workspace.current_array[:, size:] = batch.actions.numpy()
+        workspace.following_array[:, :size] = batch.next_states.numpy()
+        return workspace
 
     def _step_alpha(self, log_probs: Reals) -> None:
         optimiser = self._optimisers["alpha"]
@@ -138,12 +138,17 @@ class SACUpdater(SACParameters):
         optimiser.step()
 
     def _soft_targets(
-        self, batch: SACBatch, room: _Room, following: SquashedSample, alpha: float, peers: PeerSoftValues | None
+        self,
+        batch: SACBatch,
+        workspace: _Workspace,
+        following: SquashedSample,
+        alpha: float,
+        peers: PeerSoftValues | None,
     ) -> Reals:
         """Soft targets y [B]."""
-        room.following_array[:, self._state_size :] = following.actions.T
-        evaluate(self._targets.layers, room.following, room.critics)
-        values: Reals = room.values_array.min(0)
+        workspace.following_array[:, self._state_size :] = following.actions.T
+        evaluate(self._targets.layers, workspace.following, workspace.critics)
+        values: Reals = workspace.values_array.min(0)
         log_probs = following.log_probs
         if peers is not None:
             values[peers.rows], log_probs[peers.rows] = peers.values, peers.log_probs
@@ -152,28 +157,30 @@ class SACUpdater(SACParameters):
         values += batch.rewards.numpy()
         return values
 
-    def _step_critics(self, room: _Room, targets: Reals) -> Reals:
+    def _step_critics(self, workspace: _Workspace, targets: Reals) -> Reals:
         """Step the critics; returns their errors Q_i - y [2, B]."""
-        evaluate(self._critics.layers, room.current, room.critics)
-        errors: Reals = room.values_array - targets
-        np.divide(errors, room.rows, out=room.d_values_array)
-        weight_gradients(self._critics.layers, self._critic_gradients, room.current, room.critics, room.d_values)
+        evaluate(self._critics.layers, workspace.current, workspace.critics)
+        errors: Reals = workspace.values_array - targets
+        np.divide(errors, workspace.rows, out=workspace.d_values_array)
+        weight_gradients(
+            self._critics.layers, self._critic_gradients, workspace.current, workspace.critics, workspace.d_values
+        )
         self._optimisers["critics"].step()
         return errors
 
-    def _step_actor(self, room: _Room, sample: SquashedSample, alpha: float) -> Reals:
+    def _step_actor(self, workspace: _Workspace, sample: SquashedSample, alpha: float) -> Reals:
         """Step the actor; returns min_i Q_i(s, a) of its actions [B]."""
-        rows, layers = room.rows, self._critics.layers
-        room.current_array[:, self._state_size :] = sample.actions.T
-        evaluate(layers, room.current, room.critics)
-        d_actions = chosen_input_gradient(layers, room.critics, room.values_array.argmin(0), self._state_size)
+        rows, layers = workspace.rows, self._critics.layers
+        workspace.current_array[:, self._state_size :] = sample.actions.T
+        evaluate(layers, workspace.current, workspace.critics)
+        d_actions = chosen_input_gradient(layers, workspace.critics, workspace.values_array.argmin(0), self._state_size)
         d_actions /= -rows
         d_outputs = torch.from_numpy(output_gradient(sample, d_actions, alpha / rows))[None]
-        states, activations = room.states[:rows], room.actor.first(rows)
+        states, activations = workspace.states[:rows], workspace.actor.first(rows)
         weight_gradients(self._actor.layers, self._actor_gradients, states, activations, d_outputs)
         self._optimisers["actor"].step()
         self._average_actor()
-        values: Reals = room.values_array.min(0)
+        values: Reals = workspace.values_array.min(0)
         return values
 
     def losses(self) -> dict[str, float]:

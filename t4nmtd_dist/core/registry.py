@@ -1,0 +1,82 @@
+"""Registries: what a configuration may name, and the module that implements it.
+
+To add a method, an agent or a launcher, write its module (or folder) and add one line here. The module is imported
+when it is first asked for, so that naming one costs nothing.
+"""
+
+from __future__ import annotations
+
+import difflib
+from collections.abc import Mapping
+from dataclasses import dataclass
+from importlib import import_module
+from types import ModuleType
+
+from t4nmtd_dist.core.errors import ConfigError
+
+
+@dataclass(frozen=True)
+class Registry:
+    """Names and the modules behind them.
+
+    Attributes:
+        kind: what is registered, for messages; "agent".
+        modules: name -> dotted name of a module.
+    """
+
+    kind: str
+    modules: Mapping[str, str]
+
+    def names(self) -> tuple[str, ...]:
+        """All names, sorted."""
+        return tuple(sorted(self.modules))
+
+    def check(self, name: str, setting: str) -> None:
+        """Check that ``name`` is registered.
+
+        Args:
+            name: as given.
+            setting: where it was given, for the message; "learner.algorithm".
+
+        Raises:
+            ConfigError: lists the known names and suggests the nearest.
+        """
+        if name in self.modules:
+            return
+        near = difflib.get_close_matches(name, self.modules, n=1)
+        advice = f"did you mean {near[0]!r}? " if near else ""
+        raise ConfigError(f"{setting}: unknown {self.kind} {name!r}; {advice}Known: {', '.join(self.names())}")
+
+    def module(self, name: str, part: str = "") -> ModuleType:
+        """Import the module of ``name``, or its submodule ``part``.
+
+        Raises:
+            ConfigError: if the name is unknown.
+        """
+        self.check(name, self.kind)
+        dotted = self.modules[name]
+        return import_module(f"{dotted}.{part}" if part else dotted)
+
+
+AGENTS = Registry(
+    "agent",
+    {
+        "ppo": "t4nmtd_dist.agents.ppo",
+        "sac": "t4nmtd_dist.agents.sac",
+    },
+)
+
+METHODS = Registry(
+    "method",
+    {
+        "t4nmtd": "t4nmtd_dist.method.t4nmtd",
+    },
+)
+
+LAUNCHERS = Registry(
+    "launcher",
+    {
+        "local": "t4nmtd_dist.launch.local",
+        "serial": "t4nmtd_dist.launch.serial",
+    },
+)
