@@ -183,8 +183,6 @@ class Worker:
     def _turn(self) -> None:
         self._open_sessions()
         busy = self._evaluate() or (not self._stand_in.waiting and self._learn())
-        if self._keeper is not None:
-            self._keeper.turn(self._sessions.values())
         self._watch_connection()
         self._hear(0.0 if busy else IDLE_POLL_S)
         now = time.monotonic()
@@ -201,6 +199,8 @@ class Worker:
             if evaluation is not None:
                 evaluation.tell()
         self._last_syncs = now
+        if self._keeper is not None:
+            self._keeper.turn(self._sessions.values())
 
     def _keep_leases(self) -> None:
         """Within a turn: a sign of life for every lease that would run out if this turn took much longer."""
