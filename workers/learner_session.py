@@ -101,8 +101,10 @@ class LearnerSession:
 
     def _begin_lease(self, sent_version: int) -> None:
         self._told: LearnerStats | None = None
-        self._told_unless_heard: LearnerStats | None = None
-        self._sequence = 0
+        self._unanswered: dict[int, LearnerStats] = {}
+        self._heard: LearnerStats | None = None
+        self._ending = False
+        self._sequence = self._answered = 0
         self._start_cursor = 0
         self._sent_version = sent_version
         self._outstanding: Envelope | None = None
@@ -205,9 +207,8 @@ class LearnerSession:
     def last_sync(self) -> Envelope:
         """What the coordinator has not been told yet, at the end of the work; answered like any other."""
         self._sequence += 1
-        told = self._told or self._told_before
         self._outstanding = self._sync()
-        self._told_unless_heard = told
+        self._ending = True
         return self._outstanding
 
     @property
@@ -215,10 +216,27 @@ class LearnerSession:
         """Whether the coordinator has answered the last message."""
         return self._outstanding is None
 
+    @property
+    def all_told(self) -> bool:
+        """Whether the newest message holds all that was done, be it answered or not."""
+        done = (self.learner.attempts.interactions, self.learner.gradient_steps)
+        return self._told is not None and (self._told.interactions, self._told.gradient_steps) == done
+
+    @property
+    def newest_message(self) -> tuple[int, int]:
+        """Epoch and number of the newest message."""
+        return self.epoch, self._sequence
+
+    def has_answer_to(self, message: tuple[int, int]) -> bool:
+        """Whether the coordinator has answered a ``newest_message``, or one after it, of this very lease."""
+        epoch, sequence = message
+        return epoch == self.epoch and sequence <= self._answered
+
     def _counts_told(self) -> LearnerStats:
         """Counts that the coordinator has heard of, or will while this lease lasts."""
-        unheard = self._told_unless_heard
-        return self._all_counts() if unheard is None or self.heard else unheard
+        if self._ending and not self.heard:
+            return self._heard or self._told_before
+        return self._all_counts()
 
     def _sync(self) -> Envelope:
         arrays = _pack(self.learner.attempts.take_progress())
@@ -237,7 +255,7 @@ class LearnerSession:
 
     def _stats(self) -> LearnerStats:
         """Counts since the lease began."""
-        self._told = self._all_counts()
+        self._told = self._unanswered[self._sequence] = self._all_counts()
         return counted_since(self._told, self._told_before)
 
     def _all_counts(self) -> LearnerStats:
@@ -264,8 +282,7 @@ class LearnerSession:
         reply = envelope.message
         if not isinstance(reply, SyncReply) or (reply.pid, reply.epoch) != (self.pid, self.epoch):
             return
-        if reply.accepted_sequence >= self._sequence:
-            self._outstanding = None
+        self._take_answer(reply.accepted_sequence)
         if reply.start_cursor > self._start_cursor:
             self._start_cursor = reply.start_cursor
             starts = zip(envelope.arrays["starts.q"].tolist(), envelope.arrays["starts.state"], strict=True)
@@ -273,6 +290,14 @@ class LearnerSession:
                 self.buffer.add(q, state)
         self.high_level.load(reply.q_table)
         self.peers = reply.peers
+
+    def _take_answer(self, sequence: int) -> None:
+        """The coordinator has counted all messages up to this one."""
+        self._answered = max(self._answered, sequence)
+        for number in [number for number in self._unanswered if number <= sequence]:
+            self._heard = self._unanswered.pop(number)
+        if sequence >= self._sequence:
+            self._outstanding = None
 
 
 def training_of(granted: Granted) -> tuple[object, ...]:

@@ -41,6 +41,11 @@ class DeathNotices:
                 give_notice(context, self.control, self._keys, text, TIMEOUT_S)
             context.term()
 
+    def release(self) -> None:
+        """Print what was held, and from now on all at once and nowhere else: the coordinator is about to end."""
+        self.control, self._held = "", False
+        self.print()
+
     def print(self) -> None:
         """Print what was not printed yet."""
         for text in self._texts:

@@ -88,7 +88,7 @@ def train(
             processes.interrupt()
         code = _last_word(processes, interrupted)
     finally:
-        deaths.print()
+        deaths.release()
         processes.end()
     if interrupted.seen:
         code = STOPPED
