@@ -11,6 +11,7 @@ import msgspec
 import numpy as np
 import pytest
 from coordinator_events import Conversation, changes, starts, weights
+from learner_work import STEPS, Work
 from small_sac import AT_G1, TO_G2, car_at, small_sac_task
 from small_tasks import START, TO_PASSENGER_2, small_task, snapshot_after
 
@@ -19,7 +20,6 @@ from coordinator.events import Interrupted
 from coordinator.saved_state import load_saved_state, raise_counts, saved_counts, saved_state
 from coordinator.snapshot import summary
 from coordinator.state import RunSettings
-from t4nmtd_dist.agents.common.peer_values import NoPeers
 from t4nmtd_dist.agents.registry import build_learner
 from t4nmtd_dist.core.state_dict import copied, joined, split
 from t4nmtd_dist.launch.serial import SerialRun
@@ -34,14 +34,12 @@ from t4nmtd_dist.wire.messages import (
     EvaluationPoll,
     EvaluationReport,
     Goodbye,
-    Granted,
     LearnerStats,
     Refused,
     Release,
     SyncReply,
 )
 from workers.checkpointing import SessionKeeper
-from workers.learner_session import LearnerSession
 
 EVALUATED = ("evaluation.every=60", "evaluation.episodes=2", "environment.horizon=20", "learner.attempt_steps=12")
 SAC = ("sac.relabel_share=0.5", "sac.success_share=0.25", "sac.updates_per_step=0.3", 'learner.hand_over="changes"')
@@ -311,47 +309,6 @@ def test_the_clock_stands_still_after_the_end() -> None:
 
 # Learners under leases
 
-STEPS = 64  # of one iteration of a tiny learner
-
-
-class Work:
-    """The learner of p1 under leases of a coordinator in the same process."""
-
-    def __init__(self, talk: Conversation | None = None) -> None:
-        self.talk = talk or Conversation()
-        self.peers = NoPeers()
-        self.claim()
-
-    def claim(self, state: Any = None) -> None:
-        actions = self.talk.answers("w", self.talk.claim_message("p1", "w"))
-        granted = actions[0].message
-        assert isinstance(granted, Granted)
-        self.granted, self.session = granted, LearnerSession(granted, actions[0].arrays)
-        if state is not None:
-            self.session.go_on_from(state, granted, actions[0].arrays)
-
-    def iterate(self, times: int) -> None:
-        for _ in range(times):
-            self.hear(self.learn_and_tell())
-
-    def learn_and_tell(self, *, last: bool = False) -> Envelope:
-        """One iteration, and the message about it."""
-        assert self.session.iterate(self.peers)
-        sync = self.session.last_sync() if last else self.session.next_sync(float("inf"), 0.0)
-        assert sync is not None
-        return sync
-
-    def hear(self, sync: Envelope) -> None:
-        for sent in self.talk.answers("w", sync.message, sync.arrays):
-            self.session.take_reply(Envelope(sent.message, sent.arrays))
-
-    def kept(self) -> Any:
-        return joined(*split(copied(self.session.state_dict())))
-
-    @property
-    def counted(self) -> int:
-        return self.talk.state.interactions
-
 
 def test_a_killed_learner_goes_on_and_counts_only_what_it_does_then() -> None:
     work = Work()
@@ -440,73 +397,6 @@ def test_the_last_steps_before_a_stop_count_once_whether_the_coordinator_hears_o
     work.claim(work.kept())
     work.iterate(1)
     assert work.counted == 4 * STEPS
-
-
-@pytest.mark.parametrize("heard", [0, 1, 2])
-def test_of_two_unanswered_messages_those_count_again_that_were_not_heard(heard: int) -> None:
-    work = Work()
-    work.iterate(2)
-    syncs = [work.learn_and_tell(), work.learn_and_tell(last=True)]
-    for sync in syncs[:heard]:
-        work.hear(sync)
-    work.claim(work.kept())
-    work.iterate(1)
-    assert work.counted == 5 * STEPS
-
-
-def numbers(folder: Path) -> list[str]:
-    return sorted(path.name for path in folder.glob("**/p1/0*"))
-
-
-def keeping(folder: Path, work: Work) -> SessionKeeper:
-    """A keeper of a learner whose next checkpoint is always due."""
-    keeper = SessionKeeper(folder, 0.0, print)
-    keeper.go_on(work.session, work.granted, {})
-    return keeper
-
-
-def test_a_killed_learner_has_no_checkpoint_of_steps_that_were_never_counted(tmp_path: Path) -> None:
-    work = Work()
-    keeper = keeping(tmp_path, work)
-    unheard = work.learn_and_tell()
-    for _ in range(2):
-        keeper.turn([work.session])
-        work.session.iterate(work.peers)  # it learns on
-    keeper.delete([])  # waits for what is being written
-    assert numbers(tmp_path) == []
-    work.hear(unheard)
-    keeper.turn([work.session])
-    keeper.delete([])
-    assert numbers(tmp_path) == ["000001"]
-    work.claim()
-    keeping(tmp_path, work)  # of a new worker, after a kill -9
-    assert work.session.learner.attempts.interactions == STEPS
-    work.iterate(1)
-    assert work.counted == 2 * STEPS
-
-
-def test_a_checkpoint_does_not_wait_for_ever_for_a_coordinator_that_is_away(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr("workers.checkpointing.UNANSWERED_S", 0.0)
-    work = Work()
-    keeper = keeping(tmp_path, work)
-    work.learn_and_tell()
-    for _ in range(2):
-        keeper.turn([work.session])
-    keeper.delete([])
-    assert numbers(tmp_path) == ["000001"]
-
-
-def test_a_held_checkpoint_of_a_learner_that_has_ended_is_not_written(tmp_path: Path) -> None:
-    work = Work()
-    keeper = keeping(tmp_path, work)
-    sync = work.learn_and_tell()
-    keeper.turn([work.session])
-    work.hear(sync)
-    keeper.turn([])
-    keeper.delete([])
-    assert numbers(tmp_path) == []
 
 
 def test_an_answer_to_another_learner_of_the_same_worker_is_left_alone() -> None:
