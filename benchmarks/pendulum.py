@@ -40,7 +40,7 @@ import torch
 from numpy.typing import NDArray
 from stable_baselines3 import SAC
 
-from t4nmtd_dist.agents.actors import scaled
+from t4nmtd_dist.agents.common.action_bounds import scaled
 from t4nmtd_dist.agents.common.replay_buffer import Experience
 from t4nmtd_dist.agents.sac.fast_cpu.update import SACUpdater
 from t4nmtd_dist.agents.sac.interface import SACBatch, SACSettings

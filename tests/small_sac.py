@@ -8,8 +8,8 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from t4nmtd_dist.agents.common.networks import part_of
 from t4nmtd_dist.agents.common.peer_values import LocalPeers, PeerValues, Questions
+from t4nmtd_dist.agents.common.weights import part_of
 from t4nmtd_dist.agents.registry import build_learner
 from t4nmtd_dist.agents.sac.agent import SACLearner
 from t4nmtd_dist.agents.sac.fast_cpu.update import SACUpdater

@@ -17,10 +17,12 @@ from small_sac import AT_G1, PIDS, START, TO_G2, TO_G3, TO_G4, averaged, product
 
 from coordinator.snapshot import summary
 from coordinator.state import RunSettings
-from t4nmtd_dist.agents.actors import GaussianActor, scaled
-from t4nmtd_dist.agents.common.networks import part_of, product_state
+from t4nmtd_dist.agents.common import product_states as networks_states
+from t4nmtd_dist.agents.common.action_bounds import scaled
 from t4nmtd_dist.agents.common.peer_values import NoPeers
+from t4nmtd_dist.agents.common.weights import part_of
 from t4nmtd_dist.agents.registry import build_learner
+from t4nmtd_dist.agents.sac.actor import GaussianActor
 from t4nmtd_dist.agents.sac.agent import SACLearner
 from t4nmtd_dist.cli.check import check
 from t4nmtd_dist.core.errors import ConfigError, EnvError, PolicyError, ProtocolError
@@ -322,4 +324,4 @@ def test_a_replay_too_small_to_ever_learn_is_refused(flags: tuple[str, ...]) -> 
 
 def test_product_states_of_the_tests_are_those_of_the_networks() -> None:
     observations, q = np.random.default_rng(0).random((6, 3)).astype(np.float32), np.arange(6, dtype=np.int32)
-    assert np.array_equal(product_states(observations, q), product_state(observations, q, 6).numpy())
+    assert np.array_equal(product_states(observations, q), networks_states.product_states(observations, q, 6))

@@ -19,18 +19,11 @@ from t4nmtd_dist.agents.common.flat_adam import FlatAdam
 from t4nmtd_dist.agents.common.squashed_gaussian import output_gradient, squashed_sample
 from t4nmtd_dist.agents.sac.fast_cpu import matmul as products
 from t4nmtd_dist.agents.sac.fast_cpu.backward import chosen_input_gradient, weight_gradients
+from t4nmtd_dist.agents.sac.fast_cpu.forward import Activations, evaluate
 from t4nmtd_dist.agents.sac.fast_cpu.update import SACUpdater
 from t4nmtd_dist.agents.sac.interface import PeerSoftValues, SACBatch, SACSettings
-from t4nmtd_dist.agents.sac.networks import (
-    LAYER_NORM_EPSILON,
-    Activations,
-    Layers,
-    Stack,
-    StackShape,
-    evaluate,
-    flat_length,
-    layers_of,
-)
+from t4nmtd_dist.agents.sac.networks import LAYER_NORM_EPSILON, Layers, Stack, flat_length, layers_of
+from t4nmtd_dist.agents.sac.shapes import StackShape
 from t4nmtd_dist.core.errors import PolicyError
 
 torch.set_num_threads(1)  # a second thread waits for the other tests' processes

@@ -14,12 +14,14 @@ from numpy.typing import NDArray
 from torch import Tensor, nn
 
 from t4nmtd_dist.agents.common.flat_adam import FlatAdam
-from t4nmtd_dist.agents.common.networks import Weights, check_finite, load_weights, mlp, product_state, weights_of
+from t4nmtd_dist.agents.common.networks import load_weights, mlp, weights_of
 from t4nmtd_dist.agents.common.normalisation import Normalisation
 from t4nmtd_dist.agents.common.peer_values import PeerCritics, Questions, Values
+from t4nmtd_dist.agents.common.product_states import product_states
 from t4nmtd_dist.agents.common.replay_buffer import Experience
 from t4nmtd_dist.agents.common.rollout import Attempts, Mask
 from t4nmtd_dist.agents.common.value_request import read_value_request
+from t4nmtd_dist.agents.common.weights import Weights, check_finite
 from t4nmtd_dist.core.config import LearnerConfig, PPOConfig
 from t4nmtd_dist.core.devices import Device
 from t4nmtd_dist.core.state_dict import State
@@ -150,8 +152,8 @@ class PublishedCritic:
         """
         observations, q = read_value_request(arrays, self._observation_size, self._dfa_states)
         with self._lock:
-            states = product_state(self._normalisation.apply(observations), q, self._dfa_states)
-            values: Values = self._copy(states).squeeze(-1).numpy()
+            states = product_states(self._normalisation.apply(observations), q, self._dfa_states)
+            values: Values = self._copy(torch.from_numpy(states)).squeeze(-1).numpy()
             return values, self._version
 
 
@@ -224,7 +226,7 @@ class PPOLearner:
 
     def _states(self, observations: Observations, q: NDArray[np.int32]) -> Tensor:
         """Product states, with observations normalised."""
-        return product_state(self._normalisation.apply(observations), q, self._dfa_states)
+        return torch.from_numpy(product_states(self._normalisation.apply(observations), q, self._dfa_states))
 
     def replica(self) -> PublishedCritic:
         """A critic of the same shape, to be loaded with the weights of a peer."""

@@ -11,14 +11,15 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from t4nmtd_dist.agents.actors import scaled
+from t4nmtd_dist.agents.common.action_bounds import scaled
 from t4nmtd_dist.agents.common.exploration import HeldActionExploration, SinusoidExploration
-from t4nmtd_dist.agents.common.networks import Weights
 from t4nmtd_dist.agents.common.normalisation import Normalisation
 from t4nmtd_dist.agents.common.peer_values import PeerCritics, Values
+from t4nmtd_dist.agents.common.product_states import product_states
 from t4nmtd_dist.agents.common.replay_buffer import Experience
 from t4nmtd_dist.agents.common.rollout import Attempts
-from t4nmtd_dist.agents.sac.batches import BatchSource, DrawnBatch, product_states
+from t4nmtd_dist.agents.common.weights import Weights
+from t4nmtd_dist.agents.sac.batches import BatchSource, DrawnBatch
 from t4nmtd_dist.agents.sac.fast_cpu.update import SACUpdater
 from t4nmtd_dist.agents.sac.interface import PeerSoftValues, SACSettings
 from t4nmtd_dist.agents.sac.published import PublishedSoftCritic

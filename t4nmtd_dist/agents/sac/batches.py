@@ -13,24 +13,15 @@ from numpy.typing import NDArray
 from t4nmtd_dist.agents.common.normalisation import Normalisation
 from t4nmtd_dist.agents.common.peer_success_replay import ChanceFinds, target_symbols
 from t4nmtd_dist.agents.common.peer_values import Questions, RowNumbers
+from t4nmtd_dist.agents.common.product_states import product_states
 from t4nmtd_dist.agents.common.replay_buffer import Experience
 from t4nmtd_dist.agents.sac.interface import SACBatch
 from t4nmtd_dist.core.config import LearnerConfig, SACConfig
-from t4nmtd_dist.environments.batched import Observations
 from t4nmtd_dist.method.high_level import QTable
 from t4nmtd_dist.method.rewards import SubtaskTables
 
 Floats = NDArray[np.float32]
 States = NDArray[np.int32]
-
-
-def product_states(observations: Observations, q: States, states: int) -> Floats:
-    """What networks see, [N, d + |Q|]: observations [N, d], and DFA states [N] one-hot."""
-    size = observations.shape[1]
-    joined = np.zeros((len(observations), size + states), np.float32)
-    joined[:, :size] = observations
-    joined[np.arange(len(observations)), size + q] = 1.0
-    return joined
 
 
 @dataclass(frozen=True)

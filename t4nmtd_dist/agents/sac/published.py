@@ -12,10 +12,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from t4nmtd_dist.agents.common.networks import Weights, check_finite, part_of, product_state
 from t4nmtd_dist.agents.common.normalisation import Normalisation
 from t4nmtd_dist.agents.common.peer_values import Values
+from t4nmtd_dist.agents.common.product_states import product_states
 from t4nmtd_dist.agents.common.value_request import read_value_request
+from t4nmtd_dist.agents.common.weights import Weights, check_finite, part_of
 from t4nmtd_dist.agents.sac.interface import SoftActorCritic
 
 NO_STATISTICS: Mapping[str, NDArray[Any]] = {}
@@ -80,6 +81,6 @@ class PublishedSoftCritic:
         """
         observations, q = read_value_request(arrays, self._observation_size, self._dfa_states)
         with self._lock:
-            states = product_state(self._normalisation.apply(observations), q, self._dfa_states).numpy()
+            states = product_states(self._normalisation.apply(observations), q, self._dfa_states)
             values, log_probs = self._copy.soft_values(states)
             return np.stack([values, log_probs], axis=1), self._version

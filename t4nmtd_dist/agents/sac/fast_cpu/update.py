@@ -21,9 +21,11 @@ from t4nmtd_dist.agents.common.squashed_gaussian import (
     squashed_sample,
 )
 from t4nmtd_dist.agents.sac.fast_cpu.backward import chosen_input_gradient, weight_gradients
+from t4nmtd_dist.agents.sac.fast_cpu.forward import Activations, GrowingWorkspace, evaluate
 from t4nmtd_dist.agents.sac.interface import Floats, PeerSoftValues, SACBatch, SACSettings
-from t4nmtd_dist.agents.sac.networks import Activations, GrowingWorkspace, StackShape, evaluate, layers_of
+from t4nmtd_dist.agents.sac.networks import layers_of
 from t4nmtd_dist.agents.sac.parameters import NO_UPDATE, LastUpdate, SACParameters
+from t4nmtd_dist.agents.sac.shapes import StackShape
 
 
 class _Workspace:

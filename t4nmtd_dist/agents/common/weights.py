@@ -1,0 +1,42 @@
+"""Weights as numpy arrays by name: what files, messages and other processes hold. Imports no torch."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from itertools import pairwise
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from t4nmtd_dist.core.errors import ProtocolError
+
+Weights = dict[str, NDArray[Any]]
+Arrays = Mapping[str, NDArray[Any]]
+Shapes = dict[str, tuple[int, ...]]
+
+
+def part_of(arrays: Arrays, part: str) -> Weights:
+    """The arrays named ``part.*``, without that prefix."""
+    prefix = part + "."
+    return {name.removeprefix(prefix): array for name, array in arrays.items() if name.startswith(prefix)}
+
+
+def check_finite(weights: Arrays) -> None:
+    """Check weights that came from elsewhere.
+
+    Raises:
+        ProtocolError: if they are not all finite.
+    """
+    for name, array in weights.items():
+        if not np.isfinite(array).all():
+            raise ProtocolError(f"weights are expected to be finite; {name} is not")
+
+
+def mlp_shapes(part: str, inputs: int, hidden: Sequence[int], outputs: int) -> Shapes:
+    """Names and shapes of the parameters of ``common.networks.mlp``, each name beginning with ``part.``."""
+    shapes: Shapes = {}
+    for number, (width, out) in enumerate(pairwise([inputs, *hidden, outputs])):
+        shapes[f"{part}.{2 * number}.weight"] = (out, width)
+        shapes[f"{part}.{2 * number}.bias"] = (out,)
+    return shapes
