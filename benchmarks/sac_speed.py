@@ -32,11 +32,13 @@ from numpy.typing import NDArray
 from stable_baselines3 import SAC
 from stable_baselines3.common.logger import Logger
 
+from t4nmtd_dist.agents.common.batch_source import BatchSource
+from t4nmtd_dist.agents.common.batches import Batch
+from t4nmtd_dist.agents.common.relabelling import ExperienceReader
 from t4nmtd_dist.agents.common.replay_buffer import Experience
-from t4nmtd_dist.agents.sac.batches import BatchSource
 from t4nmtd_dist.agents.sac.fast_cpu.matmul import multiply
 from t4nmtd_dist.agents.sac.fast_cpu.update import SACUpdater
-from t4nmtd_dist.agents.sac.interface import PeerSoftValues, SACBatch, SACSettings
+from t4nmtd_dist.agents.sac.updater import PeerSoftValues, SACSettings
 from t4nmtd_dist.core.config import SACConfig
 from t4nmtd_dist.method.compiled import CompiledTask, compile_task
 from t4nmtd_dist.method.rewards import subtask_tables
@@ -87,7 +89,8 @@ class Sampling:
         self._rng = np.random.default_rng(0)
         own, peers = (self._filled(task, np.flatnonzero(tables.available)) for _ in range(2))
         sac = dataclasses.replace(SACConfig(), batch=BATCH)
-        self._source = BatchSource(PID, own, tables, task.dfa.delta, learner, sac, high_level, self._rng)
+        reader = ExperienceReader(tables, task.dfa.delta, learner.gamma, learner.reward_scale, sac.n_step)
+        self._source = BatchSource(PID, own, reader, sac, high_level, self._rng)
         self._source.others = {next(pid for pid in pids if pid != PID): peers}
 
     def _filled(self, task: CompiledTask, readable: NDArray[np.intp]) -> Experience:
@@ -108,7 +111,7 @@ class Sampling:
             )
         return experience
 
-    def draw(self) -> tuple[SACBatch, PeerSoftValues]:
+    def draw(self) -> tuple[Batch, PeerSoftValues]:
         """A batch for the networks, and values of peers for the rows that are theirs."""
         drawn = self._source.draw(0, SUCCESS)
         values, log_probs = self._rng.standard_normal((2, len(drawn.asked_rows)), np.float32)

@@ -5,7 +5,7 @@ from __future__ import annotations
 from types import ModuleType
 from typing import cast
 
-from t4nmtd_dist.agents.protocol import AgentActor, AgentShapes
+from t4nmtd_dist.agents.protocol import AgentActor, AgentBuilder, AgentShapes
 from t4nmtd_dist.core.errors import ConfigError
 from t4nmtd_dist.core.registry import AGENTS
 
@@ -28,6 +28,15 @@ def actor_module(algorithm: str) -> AgentActor:
         ConfigError: as for ``shapes_module``.
     """
     return cast(AgentActor, _module(algorithm, "actor"))
+
+
+def builder_module(algorithm: str) -> AgentBuilder:
+    """What builds the agent's learners.
+
+    Raises:
+        ConfigError: as for ``shapes_module``.
+    """
+    return cast(AgentBuilder, _module(algorithm, "agent"))
 
 
 def _module(algorithm: str, part: str) -> ModuleType:

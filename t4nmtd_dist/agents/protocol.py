@@ -13,6 +13,7 @@ from typing import Any, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from t4nmtd_dist.agents.common.context import AgentContext
 from t4nmtd_dist.agents.common.peer_values import PeerCritics, Values
 from t4nmtd_dist.agents.common.replay_buffer import Experience
 from t4nmtd_dist.agents.common.rollout import Attempts
@@ -170,4 +171,24 @@ class Learner(Protocol):
 
         Raises:
             RunError, PolicyError: if it is of a learner of another shape.
+        """
+
+
+class AgentBuilder(Protocol):
+    """Module ``agent`` of an agent.
+
+    The use it is meant for::
+
+        env = make_task_env(config, agent.num_envs(config))
+        learner = agent.build(AgentContext(..., attempts=Attempts(env, ...)))
+    """
+
+    def num_envs(self, config: TaskConfig) -> int:
+        """Copies of the environment stepped together by one learner."""
+
+    def build(self, context: AgentContext) -> Learner:
+        """A learner.
+
+        Raises:
+            EnvError: if it cannot act in the environment's action space.
         """

@@ -1,4 +1,4 @@
-"""Put a learner together from a compiled task."""
+"""Puts a learner together from a compiled task: environments, attempts, and the agent that the settings name."""
 
 from __future__ import annotations
 
@@ -6,12 +6,11 @@ import zlib
 
 import numpy as np
 
+from t4nmtd_dist.agents.common.context import AgentContext
 from t4nmtd_dist.agents.common.rollout import Attempts
-from t4nmtd_dist.agents.ppo.agent import PPOLearner
+from t4nmtd_dist.agents.modules import builder_module
 from t4nmtd_dist.agents.protocol import Learner
 from t4nmtd_dist.core.devices import Device
-from t4nmtd_dist.core.errors import ConfigError
-from t4nmtd_dist.environments.action_spaces import action_bounds, action_count
 from t4nmtd_dist.environments.batched import BatchedEnv
 from t4nmtd_dist.environments.timed import make_task_env
 from t4nmtd_dist.method.compiled import CompiledTask
@@ -39,13 +38,31 @@ def build_learner(
 
     Raises:
         EnvError: if the environment cannot be opened, or its spaces or propositions do not fit.
-        ConfigError: if the algorithm has not been decided (``environments.preparation.prepared`` does).
+        ConfigError: if there is no such algorithm, or it has not been decided (``environments.preparation.prepared``
+            does).
     """
     config = task.config
-    settings = config.learner
-    if settings.algorithm == "auto":
-        raise ConfigError('learner.algorithm = "auto" is not decided yet: pass the task through prepared() first')
-    tables = subtask_tables(
+    agent = builder_module(config.learner.algorithm)
+    tables = _tables(task, pid)
+    env = make_task_env(config, agent.num_envs(config))
+    return agent.build(
+        AgentContext(
+            pid=pid,
+            task=task,
+            tables=tables,
+            attempts=_attempts(task, tables, env, buffer, seed),
+            action_space=env.action_space,
+            high_level=high_level,
+            seed=seed,
+            device=device,
+            normalised=~env.categorical & (config.learner.normalise_observations == "on"),
+        )
+    )
+
+
+def _tables(task: CompiledTask, pid: str) -> SubtaskTables:
+    settings = task.config.learner
+    return subtask_tables(
         task.dfa,
         task.decomposition,
         pid,
@@ -54,25 +71,6 @@ def build_learner(
         shaping=settings.shaping,
         error_penalty=_error_penalty(task),
     )
-    count = config.sac.num_envs if settings.algorithm == "sac" else config.ppo.num_envs
-    env = make_task_env(config, count)
-    attempts = _attempts(task, tables, env, buffer, seed)
-    normalised = ~env.categorical if settings.normalise_observations == "on" else None
-    if settings.algorithm == "ppo":
-        actions = action_count(env.action_space, config.environment.id)
-        states = task.dfa.states
-        return PPOLearner(
-            pid, attempts, settings, config.ppo, high_level,
-            dfa_states=states, actions=actions, seed=seed, device=device, normalised=normalised,
-        )  # fmt: skip
-    bounds = action_bounds(env.action_space, config.environment.id)
-    from t4nmtd_dist.agents.sac.agent import SACLearner
-
-    delta = task.dfa.delta
-    return SACLearner(
-        pid, attempts, tables, delta, settings, config.sac, high_level,
-        bounds=bounds, seed=seed, peers=len(task.decomposition.pids) - 1, device=device, normalised=normalised,
-    )  # fmt: skip
 
 
 def _error_penalty(task: CompiledTask) -> float:

@@ -16,6 +16,7 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 from torch import Tensor
+from torch.nn import functional
 
 from t4nmtd_dist.agents.common.weights import Weights
 from t4nmtd_dist.agents.sac.shapes import StackShape, stack_shapes
@@ -126,3 +127,23 @@ class Stack:
             )
         for name, array in weights.items():
             named[name].copy_(torch.from_numpy(np.require(array, requirements="W")))  # torch warns of read-only ones
+
+
+def weights_of_stacks(stacks: Mapping[str, Stack]) -> Weights:
+    """Copies of the parameters of several stacks, named ``part.name``."""
+    return {f"{part}.{name}": array for part, stack in stacks.items() for name, array in stack.weights().items()}
+
+
+def evaluate_plainly(layers: Layers, inputs: Tensor) -> Tensor:
+    """Outputs [n, rows, outputs] of all networks of a stack on the same inputs [rows, inputs], for autograd."""
+    hidden = inputs.expand(len(layers.head_bias), *inputs.shape)
+    for layer in layers.hidden:
+        hidden = _normalised(layer, torch.baddbmm(layer.bias, hidden, layer.weight)).relu()
+    return torch.baddbmm(layers.head_bias.transpose(1, 2), hidden, layers.head_weight.transpose(1, 2))
+
+
+def _normalised(layer: HiddenLayer, linear: Tensor) -> Tensor:
+    if layer.gain is None or layer.shift is None:
+        return linear
+    normal = functional.layer_norm(linear, linear.shape[-1:], eps=LAYER_NORM_EPSILON)
+    return normal * layer.gain[:, None] + layer.shift[:, None]

@@ -12,11 +12,10 @@ import torch
 from numpy.typing import NDArray
 
 from t4nmtd_dist.agents.common.flat_adam import FlatAdam
-from t4nmtd_dist.agents.common.squashed_gaussian import Reals
 from t4nmtd_dist.agents.common.weights import Weights, part_of
-from t4nmtd_dist.agents.sac.interface import Floats, SACSettings
-from t4nmtd_dist.agents.sac.networks import Stack
+from t4nmtd_dist.agents.sac.networks import Stack, weights_of_stacks
 from t4nmtd_dist.agents.sac.shapes import actor_shape, critics_shape
+from t4nmtd_dist.agents.sac.updater import Floats, Reals, SACSettings
 from t4nmtd_dist.core.errors import PolicyError
 
 NO_UPDATE = "no update yet: targets are those of the last one"
@@ -122,10 +121,11 @@ class SACParameters:
 
     def weights(self) -> Weights:
         """See ``SoftActorCritic.weights``."""
-        named = {
-            f"{part}.{name}": array for part, stack in self._stacks().items() for name, array in stack.weights().items()
-        }
-        return named | {"log_alpha": self._log_alpha.cpu().numpy().copy()}
+        return weights_of_stacks(self._stacks()) | {"log_alpha": self._log_alpha.cpu().numpy().copy()}
+
+    def critic_weights(self) -> Weights:
+        """See ``SoftActorCritic.critic_weights``."""
+        return weights_of_stacks({"actor": self._actor, "targets": self._targets})
 
     def load(self, weights: Mapping[str, NDArray[Any]]) -> None:
         """See ``SoftActorCritic.load``."""

@@ -1,0 +1,71 @@
+"""What a learner is built from."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from t4nmtd_dist.agents.common.normalisation import Normalisation
+from t4nmtd_dist.agents.common.rollout import Attempts
+from t4nmtd_dist.core.config import LearnerConfig
+from t4nmtd_dist.core.devices import Device
+from t4nmtd_dist.method.compiled import CompiledTask
+from t4nmtd_dist.method.high_level import QTable
+from t4nmtd_dist.method.rewards import SubtaskTables
+
+
+@dataclass(frozen=True)
+class AgentContext:
+    """The sub-task, the environments and the settings of one learner.
+
+    Attributes:
+        pid: the sub-task.
+        task: the compiled task: settings, DFA and all sub-tasks.
+        tables: of the sub-task, to read experience for any of its DFA states.
+        attempts: N copies of the environment within attempts at the sub-task.
+        action_space: of the environment.
+        high_level: the learner's copy of the coordinator's Q table, for E(Q, q').
+        seed: of networks and sampling.
+        device: where the networks are trained; attempts and answers to peers stay on the CPU.
+        normalised: which numbers of an observation are normalised, bool [d].
+    """
+
+    pid: str
+    task: CompiledTask
+    tables: SubtaskTables
+    attempts: Attempts
+    action_space: object
+    high_level: QTable
+    seed: int
+    device: Device
+    normalised: NDArray[np.bool_]
+
+    @property
+    def settings(self) -> LearnerConfig:
+        """What all learners share."""
+        return self.task.config.learner
+
+    @property
+    def dfa_states(self) -> int:
+        """|Q|."""
+        return self.task.dfa.states
+
+    @property
+    def observation_size(self) -> int:
+        """D, the length of an observation."""
+        return len(self.normalised)
+
+    @property
+    def inputs(self) -> int:
+        """Length of a product state, d + |Q|."""
+        return self.observation_size + self.dfa_states
+
+    def rng(self) -> np.random.Generator:
+        """The learner's generator, from the seed; every call gives another in the same state."""
+        return np.random.default_rng([self.seed, 1])
+
+    def normalisation(self) -> Normalisation:
+        """Empty statistics of observations."""
+        return Normalisation(self.normalised)
