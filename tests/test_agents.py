@@ -12,11 +12,12 @@ import pytest
 from small_sac import small_sac, small_sac_task
 from small_tasks import small_learner, small_task
 
-from t4nmtd_dist.agents.actors import acting_parameters, make_actor
+from t4nmtd_dist.agents.actors import make_actor
 from t4nmtd_dist.agents.common.peer_values import NoPeers
 from t4nmtd_dist.agents.modules import actor_module, builder_module, shapes_module
 from t4nmtd_dist.agents.protocol import Learner
 from t4nmtd_dist.agents.weight_checks import check_weights, expected_shapes
+from t4nmtd_dist.agents.weights import acting_parameters
 from t4nmtd_dist.core.errors import ConfigError, PolicyError
 from t4nmtd_dist.core.registry import AGENTS
 from t4nmtd_dist.method.compiled import CompiledTask

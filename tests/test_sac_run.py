@@ -21,9 +21,9 @@ from t4nmtd_dist.agents.common import product_states as networks_states
 from t4nmtd_dist.agents.common.action_bounds import scaled
 from t4nmtd_dist.agents.common.off_policy import OffPolicyLearner
 from t4nmtd_dist.agents.common.peer_values import NoPeers
-from t4nmtd_dist.agents.common.weights import part_of
 from t4nmtd_dist.agents.registry import build_learner
 from t4nmtd_dist.agents.sac.actor import GaussianActor
+from t4nmtd_dist.agents.weights import part_of
 from t4nmtd_dist.cli.check import check
 from t4nmtd_dist.core.errors import ConfigError, EnvError, PolicyError, ProtocolError
 from t4nmtd_dist.environments.action_spaces import action_bounds

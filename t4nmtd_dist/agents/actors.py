@@ -2,15 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
-
 import numpy as np
 from numpy.typing import NDArray
 
 from t4nmtd_dist.agents.common.normalisation import Normalisation, stored_normalisation
-from t4nmtd_dist.agents.common.weights import Arrays, Weights, part_of
 from t4nmtd_dist.agents.modules import actor_module
 from t4nmtd_dist.agents.protocol import Actions, Actor
+from t4nmtd_dist.agents.weights import Arrays, acting_parameters, part_of
 from t4nmtd_dist.core.config import LearnerConfig
 from t4nmtd_dist.core.errors import PolicyError
 
@@ -29,21 +27,6 @@ class NormalisingActor:
     def act(self, states: NDArray[np.float32], rng: np.random.Generator | None = None) -> Actions:
         """See ``Actor.act``."""
         return self._actor.act(self._normalisation.apply_to_states(states), rng)
-
-
-def acting_part(names: Iterable[str]) -> str:
-    """Which part of a learner's parameters acts: its ``average`` if one is kept, else its ``actor``."""
-    return "average" if any(name.startswith("average.") for name in names) else "actor"
-
-
-def acting_parameters(weights: Arrays) -> Weights:
-    """The parameters, named ``actor.*``, of the actor that is evaluated and exported: the average, if one is kept.
-
-    Statistics of observations are among them, where the learner normalises those.
-    """
-    kept = part_of(weights, acting_part(weights))
-    kept |= {name: array for name, array in weights.items() if name.startswith("normalisation.")}
-    return {f"actor.{name}": array for name, array in kept.items()}
 
 
 def make_actor(config: LearnerConfig, weights: Arrays) -> Actor:

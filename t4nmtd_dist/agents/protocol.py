@@ -17,7 +17,7 @@ from t4nmtd_dist.agents.common.context import AgentContext
 from t4nmtd_dist.agents.common.peer_values import PeerCritics, Values
 from t4nmtd_dist.agents.common.replay_buffer import Experience
 from t4nmtd_dist.agents.common.rollout import Attempts
-from t4nmtd_dist.agents.common.weights import Shapes, Weights
+from t4nmtd_dist.agents.weights import Shapes, Weights
 from t4nmtd_dist.core.config import TaskConfig
 from t4nmtd_dist.core.state_dict import State
 from t4nmtd_dist.environments.batched import Observations

@@ -7,8 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from t4nmtd_dist.agents.common.normalisation import stored_normalisation
-from t4nmtd_dist.agents.common.weights import Arrays, Shapes
 from t4nmtd_dist.agents.modules import shapes_module
+from t4nmtd_dist.agents.weights import Arrays, Shapes
 from t4nmtd_dist.core.config import TaskConfig
 from t4nmtd_dist.core.errors import PolicyError
 

@@ -6,8 +6,8 @@ import math
 
 import msgpack
 
-from t4nmtd_dist.agents.actors import acting_part
 from t4nmtd_dist.agents.weight_checks import NetworkSizes, expected_shapes
+from t4nmtd_dist.agents.weights import acting_part
 from t4nmtd_dist.core.errors import ConfigError
 from t4nmtd_dist.method.compiled import CompiledTask
 from t4nmtd_dist.wire.codec import MAX_ARRAY_BYTES, MAX_ARRAYS, MAX_HEADER_BYTES, MAX_MESSAGE_BYTES

@@ -10,7 +10,7 @@ import torch
 from numpy.typing import NDArray
 from torch import nn
 
-from t4nmtd_dist.agents.common.weights import Weights
+from t4nmtd_dist.agents.weights import Weights
 from t4nmtd_dist.core.errors import PolicyError
 
 

@@ -18,7 +18,7 @@ from t4nmtd_dist.agents.common.product_states import product_states
 from t4nmtd_dist.agents.common.published import Critic, PublishedCritic
 from t4nmtd_dist.agents.common.relabelling import ExperienceReader
 from t4nmtd_dist.agents.common.replay_buffer import Experience
-from t4nmtd_dist.agents.common.weights import Arrays, Weights
+from t4nmtd_dist.agents.weights import Arrays, Weights
 from t4nmtd_dist.core.state_dict import State
 from t4nmtd_dist.environments.batched import Observations
 

@@ -16,7 +16,7 @@ from t4nmtd_dist.agents.common.normalisation import Normalisation
 from t4nmtd_dist.agents.common.peer_values import Values
 from t4nmtd_dist.agents.common.product_states import product_states
 from t4nmtd_dist.agents.common.value_request import read_value_request
-from t4nmtd_dist.agents.common.weights import Arrays, Weights, check_finite
+from t4nmtd_dist.agents.weights import Arrays, Weights, check_finite
 
 
 class Critic(Protocol):

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from t4nmtd_dist.agents.common.networks import load_weights, mlp
-from t4nmtd_dist.agents.common.weights import Weights
+from t4nmtd_dist.agents.weights import Weights
 from t4nmtd_dist.core.errors import PolicyError
 
 

@@ -16,11 +16,11 @@ from t4nmtd_dist.agents.common.product_states import product_states
 from t4nmtd_dist.agents.common.published import PublishedCritic
 from t4nmtd_dist.agents.common.replay_buffer import Experience
 from t4nmtd_dist.agents.common.rollout import AttemptStep, Mask
-from t4nmtd_dist.agents.common.weights import Arrays, Weights
 from t4nmtd_dist.agents.ppo.losses import bootstrap_values, generalised_advantages
 from t4nmtd_dist.agents.ppo.networks import ActorCritic, ValueCritic
 from t4nmtd_dist.agents.ppo.trajectory import Trajectory
 from t4nmtd_dist.agents.ppo.update import PPOUpdate
+from t4nmtd_dist.agents.weights import Arrays, Weights
 from t4nmtd_dist.core.config import PPOConfig, TaskConfig
 from t4nmtd_dist.core.state_dict import State
 from t4nmtd_dist.environments.action_spaces import action_count

@@ -11,7 +11,7 @@ from torch import Tensor, nn
 
 from t4nmtd_dist.agents.common.networks import load_weights, mlp, weights_of
 from t4nmtd_dist.agents.common.peer_values import Values
-from t4nmtd_dist.agents.common.weights import Arrays, Weights
+from t4nmtd_dist.agents.weights import Arrays, Weights
 
 
 class ActorCritic(nn.Module):

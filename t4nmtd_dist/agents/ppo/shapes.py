@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from t4nmtd_dist.agents.common.weights import Shapes, mlp_shapes
+from t4nmtd_dist.agents.weights import Shapes, mlp_shapes
 from t4nmtd_dist.core.config import TaskConfig
 
 EXPLORATION = ("ppo.entropy_coefficient",)

@@ -7,11 +7,11 @@ import torch
 from numpy.typing import NDArray
 
 from t4nmtd_dist.agents.common.action_bounds import scaled
-from t4nmtd_dist.agents.common.weights import Weights
 from t4nmtd_dist.agents.sac.fast_cpu.forward import Activations, evaluate
 from t4nmtd_dist.agents.sac.fast_cpu.squashed_gaussian import deterministic_actions, squashed_sample
 from t4nmtd_dist.agents.sac.networks import Stack
 from t4nmtd_dist.agents.sac.shapes import actor_shape
+from t4nmtd_dist.agents.weights import Weights
 from t4nmtd_dist.core.errors import PolicyError
 
 Floats = NDArray[np.float32]

@@ -14,11 +14,11 @@ from t4nmtd_dist.agents.common.context import AgentContext
 from t4nmtd_dist.agents.common.exploration import HeldActionExploration, SinusoidExploration
 from t4nmtd_dist.agents.common.off_policy import OffPolicyLearner
 from t4nmtd_dist.agents.common.peer_values import PeerValues, Values
-from t4nmtd_dist.agents.common.weights import Arrays, Weights
 from t4nmtd_dist.agents.sac.fast_cpu.update import SACUpdater
 from t4nmtd_dist.agents.sac.soft_critic import SoftCritic
 from t4nmtd_dist.agents.sac.torch_update import TorchSACUpdater
 from t4nmtd_dist.agents.sac.updater import PeerSoftValues, SACSettings, SoftActorCritic
+from t4nmtd_dist.agents.weights import Arrays, Weights
 from t4nmtd_dist.core.config import LearnerConfig, SACConfig, TaskConfig
 from t4nmtd_dist.core.state_dict import State
 from t4nmtd_dist.environments.action_spaces import action_bounds

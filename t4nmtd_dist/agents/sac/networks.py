@@ -18,8 +18,8 @@ from numpy.typing import NDArray
 from torch import Tensor
 from torch.nn import functional
 
-from t4nmtd_dist.agents.common.weights import Weights
 from t4nmtd_dist.agents.sac.shapes import StackShape, stack_shapes
+from t4nmtd_dist.agents.weights import Weights
 from t4nmtd_dist.core.errors import PolicyError
 
 LAYER_NORM_EPSILON = 1e-5

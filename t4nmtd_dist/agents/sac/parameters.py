@@ -12,10 +12,10 @@ import torch
 from numpy.typing import NDArray
 
 from t4nmtd_dist.agents.common.flat_adam import FlatAdam
-from t4nmtd_dist.agents.common.weights import Weights, part_of
 from t4nmtd_dist.agents.sac.networks import Stack, weights_of_stacks
 from t4nmtd_dist.agents.sac.shapes import actor_shape, critics_shape
 from t4nmtd_dist.agents.sac.updater import Floats, Reals, SACSettings
+from t4nmtd_dist.agents.weights import Weights, part_of
 from t4nmtd_dist.core.errors import PolicyError
 
 NO_UPDATE = "no update yet: targets are those of the last one"

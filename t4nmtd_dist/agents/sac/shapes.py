@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
-from t4nmtd_dist.agents.common.weights import Shapes
+from t4nmtd_dist.agents.weights import Shapes
 from t4nmtd_dist.core.config import TaskConfig
 
 EXPLORATION = ("sac.hold_share", "sac.wave_share")

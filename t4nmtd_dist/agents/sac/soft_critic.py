@@ -6,11 +6,11 @@ import numpy as np
 import torch
 
 from t4nmtd_dist.agents.common.peer_values import Values
-from t4nmtd_dist.agents.common.weights import Arrays, Weights, part_of
 from t4nmtd_dist.agents.sac.fast_cpu.acting import FastActing
 from t4nmtd_dist.agents.sac.networks import Stack, weights_of_stacks
 from t4nmtd_dist.agents.sac.shapes import actor_shape, critics_shape
 from t4nmtd_dist.agents.sac.updater import Floats, SACSettings
+from t4nmtd_dist.agents.weights import Arrays, Weights, part_of
 
 
 class SoftCritic:

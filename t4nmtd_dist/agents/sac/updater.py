@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from t4nmtd_dist.agents.common.batches import Batch
-from t4nmtd_dist.agents.common.weights import Weights
+from t4nmtd_dist.agents.weights import Weights
 
 Floats = NDArray[np.float32]
 Reals = NDArray[np.floating[Any]]

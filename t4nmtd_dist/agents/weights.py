@@ -1,8 +1,8 @@
-"""Weights as numpy arrays by name: what files, messages and other processes hold. Imports no torch."""
+"""Weights as named numpy arrays: which of them act, which belong together. Imports no torch."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from itertools import pairwise
 from typing import Any
 
@@ -20,6 +20,21 @@ def part_of(arrays: Arrays, part: str) -> Weights:
     """The arrays named ``part.*``, without that prefix."""
     prefix = part + "."
     return {name.removeprefix(prefix): array for name, array in arrays.items() if name.startswith(prefix)}
+
+
+def acting_part(names: Iterable[str]) -> str:
+    """Which part of a learner's parameters acts: its ``average`` if one is kept, else its ``actor``."""
+    return "average" if any(name.startswith("average.") for name in names) else "actor"
+
+
+def acting_parameters(weights: Arrays) -> Weights:
+    """The parameters, named ``actor.*``, of the actor that is evaluated and exported: the average, if one is kept.
+
+    Statistics of observations are among them, where the learner normalises those.
+    """
+    kept = part_of(weights, acting_part(weights))
+    kept |= {name: array for name, array in weights.items() if name.startswith("normalisation.")}
+    return {f"actor.{name}": array for name, array in kept.items()}
 
 
 def check_finite(weights: Arrays) -> None:
