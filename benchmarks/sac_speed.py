@@ -34,10 +34,10 @@ from stable_baselines3.common.logger import Logger
 
 from t4nmtd_dist.agents.common.replay_buffer import Experience
 from t4nmtd_dist.agents.sac.batches import BatchSource
+from t4nmtd_dist.agents.sac.config import SACConfig
 from t4nmtd_dist.agents.sac.fast_cpu.matmul import multiply
 from t4nmtd_dist.agents.sac.fast_cpu.update import SACUpdater
 from t4nmtd_dist.agents.sac.interface import PeerSoftValues, SACBatch, SACSettings
-from t4nmtd_dist.core.config import SACConfig
 from t4nmtd_dist.method.compiled import CompiledTask, compile_task
 from t4nmtd_dist.method.rewards import subtask_tables
 from t4nmtd_dist.tasks import load_task

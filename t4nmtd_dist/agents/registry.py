@@ -10,7 +10,6 @@ from t4nmtd_dist.agents.common.rollout import Attempts
 from t4nmtd_dist.agents.ppo.agent import PPOLearner
 from t4nmtd_dist.agents.protocol import Learner
 from t4nmtd_dist.core.devices import Device
-from t4nmtd_dist.core.errors import ConfigError
 from t4nmtd_dist.environments.action_spaces import action_bounds, action_count
 from t4nmtd_dist.environments.batched import BatchedEnv
 from t4nmtd_dist.environments.timed import make_task_env
@@ -42,9 +41,7 @@ def build_learner(
         ConfigError: if the algorithm has not been decided (``environments.preparation.prepared`` does).
     """
     config = task.config
-    settings = config.learner
-    if settings.algorithm == "auto":
-        raise ConfigError('learner.algorithm = "auto" is not decided yet: pass the task through prepared() first')
+    settings, own = config.learner, config.agent
     tables = subtask_tables(
         task.dfa,
         task.decomposition,
@@ -54,23 +51,22 @@ def build_learner(
         shaping=settings.shaping,
         error_penalty=_error_penalty(task),
     )
-    count = config.sac.num_envs if settings.algorithm == "sac" else config.ppo.num_envs
-    env = make_task_env(config, count)
+    env = make_task_env(config, own.num_envs)
     attempts = _attempts(task, tables, env, buffer, seed)
     normalised = ~env.categorical if settings.normalise_observations == "on" else None
     if settings.algorithm == "ppo":
-        actions = action_count(env.action_space, config.environment.id)
+        actions = action_count(env.action_space, config.environment.id, settings.algorithm.upper())
         states = task.dfa.states
         return PPOLearner(
-            pid, attempts, settings, config.ppo, high_level,
+            pid, attempts, settings, own, high_level,
             dfa_states=states, actions=actions, seed=seed, device=device, normalised=normalised,
         )  # fmt: skip
-    bounds = action_bounds(env.action_space, config.environment.id)
+    bounds = action_bounds(env.action_space, config.environment.id, settings.algorithm.upper())
     from t4nmtd_dist.agents.sac.agent import SACLearner
 
     delta = task.dfa.delta
     return SACLearner(
-        pid, attempts, tables, delta, settings, config.sac, high_level,
+        pid, attempts, tables, delta, settings, own, high_level,
         bounds=bounds, seed=seed, peers=len(task.decomposition.pids) - 1, device=device, normalised=normalised,
     )  # fmt: skip
 

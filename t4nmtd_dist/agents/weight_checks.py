@@ -51,7 +51,7 @@ def _ppo_shapes(config: TaskConfig, inputs: int, actions: int) -> Shapes:
 def _sac_shapes(config: TaskConfig, inputs: int, actions: int) -> Shapes:
     hidden = config.learner.hidden
     actor = StackShape(1, inputs, hidden, 2 * actions, layer_norm=False)
-    critics = StackShape(2, inputs + actions, hidden, 1, layer_norm=config.sac.layer_norm)
+    critics = StackShape(2, inputs + actions, hidden, 1, layer_norm=config.agents["sac"].layer_norm)
     parts = {"actor": actor, "average": actor, "critics": critics, "targets": critics}
     shapes = {f"{part}.{name}": size for part, shape in parts.items() for name, size in parameter_shapes(shape)}
     return shapes | {"log_alpha": (1,), "average.low": (actions,), "average.high": (actions,)}

@@ -20,7 +20,8 @@ from t4nmtd_dist.agents.common.peer_values import PeerCritics, Questions, Values
 from t4nmtd_dist.agents.common.replay_buffer import Experience
 from t4nmtd_dist.agents.common.rollout import Attempts, Mask
 from t4nmtd_dist.agents.common.value_request import read_value_request
-from t4nmtd_dist.core.config import LearnerConfig, PPOConfig
+from t4nmtd_dist.agents.ppo.config import PPOConfig
+from t4nmtd_dist.core.config import LearnerConfig
 from t4nmtd_dist.core.devices import Device
 from t4nmtd_dist.core.state_dict import State
 from t4nmtd_dist.environments.batched import Observations

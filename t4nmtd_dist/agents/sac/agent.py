@@ -19,11 +19,12 @@ from t4nmtd_dist.agents.common.peer_values import PeerCritics, Values
 from t4nmtd_dist.agents.common.replay_buffer import Experience
 from t4nmtd_dist.agents.common.rollout import Attempts
 from t4nmtd_dist.agents.sac.batches import BatchSource, DrawnBatch, product_states
+from t4nmtd_dist.agents.sac.config import SACConfig
 from t4nmtd_dist.agents.sac.fast_cpu.update import SACUpdater
 from t4nmtd_dist.agents.sac.interface import PeerSoftValues, SACSettings
 from t4nmtd_dist.agents.sac.published import PublishedSoftCritic
 from t4nmtd_dist.agents.sac.torch_update import updater_on
-from t4nmtd_dist.core.config import LearnerConfig, SACConfig
+from t4nmtd_dist.core.config import LearnerConfig
 from t4nmtd_dist.core.devices import Device
 from t4nmtd_dist.core.state_dict import State
 from t4nmtd_dist.environments.action_spaces import Bounds

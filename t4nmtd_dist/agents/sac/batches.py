@@ -14,8 +14,9 @@ from t4nmtd_dist.agents.common.normalisation import Normalisation
 from t4nmtd_dist.agents.common.peer_success_replay import ChanceFinds, target_symbols
 from t4nmtd_dist.agents.common.peer_values import Questions, RowNumbers
 from t4nmtd_dist.agents.common.replay_buffer import Experience
+from t4nmtd_dist.agents.sac.config import SACConfig
 from t4nmtd_dist.agents.sac.interface import SACBatch
-from t4nmtd_dist.core.config import LearnerConfig, SACConfig
+from t4nmtd_dist.core.config import LearnerConfig
 from t4nmtd_dist.environments.batched import Observations
 from t4nmtd_dist.method.high_level import QTable
 from t4nmtd_dist.method.rewards import SubtaskTables
