@@ -203,7 +203,8 @@ class TaskConfig:
         """Plain data that ``task_config`` reads back; fit for TOML and the wire."""
         whole: dict[str, Any] = plain(self)
         del whole["learner_given"]
-        return whole | whole.pop("agents")
+        agents: dict[str, Any] = whole.pop("agents")
+        return whole | agents
 
 
 def check_algorithm(name: str) -> None:
