@@ -51,8 +51,8 @@ from t4nmtd_dist.method.compiled import compile_task
 from t4nmtd_dist.runs.directory import CHECKPOINTS_FOLDER, CONFIG_FILE, ENDPOINTS_FILE
 from t4nmtd_dist.tasks import load_task
 from t4nmtd_dist.wire.messages import Status
-from t4nmtd_dist.wire.sockets import new_context
 from t4nmtd_dist.wire.status_client import Inquiry
+from t4nmtd_dist.wire.zmq_types import new_context
 
 PIDS = ("g1", "g2", "g3", "g4")
 STARTS = 50

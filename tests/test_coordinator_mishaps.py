@@ -43,7 +43,8 @@ from t4nmtd_dist.wire.messages import (
     StatusRequest,
     SyncReply,
 )
-from t4nmtd_dist.wire.sockets import Context, receive, subscribe
+from t4nmtd_dist.wire.sockets import receive, subscribe
+from t4nmtd_dist.wire.zmq_types import Context
 
 LARGEST = LearnerStats(
     phase="training",

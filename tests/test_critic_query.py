@@ -19,16 +19,8 @@ from t4nmtd_dist.agents.ppo.agent import PATIENCE_S, PPOLearner
 from t4nmtd_dist.wire.codec import Envelope
 from t4nmtd_dist.wire.messages import Failure, Message, Peer, Release, ValueReply, ValueRequest
 from t4nmtd_dist.wire.peers.critic_client import QueryPeers
-from t4nmtd_dist.wire.sockets import (
-    Context,
-    Socket,
-    bind,
-    bound_endpoint,
-    connect,
-    receive,
-    receive_from,
-    send,
-)
+from t4nmtd_dist.wire.sockets import bind, bound_endpoint, connect, receive, receive_from, send
+from t4nmtd_dist.wire.zmq_types import Context, Socket
 from workers.critic_service import CriticService
 
 WAIT_S = 10.0

@@ -29,7 +29,8 @@ from t4nmtd_dist.wire.peers.experience_client import (
     PeerExperience,
     checked_columns,
 )
-from t4nmtd_dist.wire.sockets import Context, Socket, bind, bound_endpoint, receive_from, send
+from t4nmtd_dist.wire.sockets import bind, bound_endpoint, receive_from, send
+from t4nmtd_dist.wire.zmq_types import Context, Socket
 from workers.critic_service import EXPERIENCE_BYTES, CriticService
 
 SIZE, ACTIONS, LETTERS = 3, 2, 4

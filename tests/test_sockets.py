@@ -35,18 +35,8 @@ from t4nmtd_dist.wire.messages import (
     Sync,
     SyncReply,
 )
-from t4nmtd_dist.wire.sockets import (
-    Context,
-    Socket,
-    bind,
-    bound_endpoint,
-    connect,
-    new_context,
-    receive,
-    receive_from,
-    send,
-    subscribe,
-)
+from t4nmtd_dist.wire.sockets import bind, bound_endpoint, connect, receive, receive_from, send, subscribe
+from t4nmtd_dist.wire.zmq_types import Context, Socket, new_context
 
 DEADLINE_S = 10.0
 FREE_PORT = "tcp://127.0.0.1:*"

@@ -14,8 +14,8 @@ from t4nmtd_dist.runs.report import policy_text, row_text, solved_text
 from t4nmtd_dist.runs.running import RunOverError
 from t4nmtd_dist.wire.auth.keys import load_client
 from t4nmtd_dist.wire.messages import LearnerRow, Status
-from t4nmtd_dist.wire.sockets import new_context
 from t4nmtd_dist.wire.status_client import ask_status
+from t4nmtd_dist.wire.zmq_types import new_context
 
 HEALTHY, SICK = 0, 1
 

@@ -10,26 +10,11 @@ from t4nmtd_dist.core.errors import ConfigError, ProtocolError
 from t4nmtd_dist.wire.auth.keys import ClientKeys, KeyPair
 from t4nmtd_dist.wire.codec import MAX_ARRAY_BYTES, Envelope, decode, encode
 from t4nmtd_dist.wire.endpoints import check_endpoint
+from t4nmtd_dist.wire.zmq_types import MONITORED, Context, Socket
 
 QUEUED_MESSAGES = 1000
 ENCRYPTION_BYTES = 64  # what CURVE adds to a frame, generously
 HANDSHAKE_MS = 10_000
-MONITORED = (
-    zmq.EVENT_CONNECTED
-    | zmq.EVENT_HANDSHAKE_SUCCEEDED
-    | zmq.EVENT_HANDSHAKE_FAILED_AUTH
-    | zmq.EVENT_HANDSHAKE_FAILED_PROTOCOL
-    | zmq.EVENT_HANDSHAKE_FAILED_NO_DETAIL
-    | zmq.EVENT_DISCONNECTED
-)
-
-Socket = zmq.Socket[bytes]
-Context = zmq.Context[Socket]
-
-
-def new_context() -> Context:
-    """A context of one's own (one per process)."""
-    return zmq.Context()
 
 
 def _prepare(context: Context, kind: int, frame_bytes: int = MAX_ARRAY_BYTES, queued: int = QUEUED_MESSAGES) -> Socket:
