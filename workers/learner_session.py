@@ -28,11 +28,10 @@ from t4nmtd_dist.method.start_states import InitialStateBuffer
 from t4nmtd_dist.wire.codec import Envelope, without_prefix
 from t4nmtd_dist.wire.limits import most_starts
 from t4nmtd_dist.wire.messages import Granted, Intervention, LearnerStats, Peer, Sync, SyncReply
+from t4nmtd_dist.wire.statistics import counted_since
 
 RESEND_S = 2.0
 STARTS_PER_SYNC = 64
-INTERVENTION = Intervention.__struct_fields__
-ENDINGS = ("errors", "timeouts", "terminated")
 
 
 def compiled_from(granted: Granted) -> CompiledTask:
@@ -303,14 +302,6 @@ class LearnerSession:
 def training_of(granted: Granted) -> tuple[object, ...]:
     """All that decides what is learned under a lease: task with settings, automaton, sub-tasks, potentials, seed."""
     return granted.task, granted.dfa, granted.decomposition, granted.rho, granted.seed
-
-
-def counted_since(now: LearnerStats, before: LearnerStats) -> LearnerStats:
-    """``now`` with the counts of ``before`` taken off."""
-    counts = ("interactions", "gradient_steps", "attempts", "successes", "processor_s", *ENDINGS)
-    asked = {name: getattr(now.intervention, name) - getattr(before.intervention, name) for name in INTERVENTION}
-    less = {name: getattr(now, name) - getattr(before, name) for name in counts}
-    return msgspec.structs.replace(now, **less, intervention=Intervention(**asked))
 
 
 def _pack(progress: Progress) -> dict[str, NDArray[Any]]:
