@@ -106,23 +106,16 @@ def _finite(number: float) -> float | None:
 
 def _learner_row(state: CoordinatorState, pid: str, record: LearnerRecord) -> LearnerRow:
     lease, total = state.leases.get(pid), record.total
-    rates = record.rates() if state.outcome is None else {}
     return LearnerRow(
         pid=pid,
         phase=_phase(state, pid, total.phase),
         worker=lease.instance if lease else "",
         epoch=lease.epoch if lease else 0,
         version=record.version,
-        interactions=total.interactions,
-        steps_per_s=rates.get("interactions", 0.0),
-        updates=total.gradient_steps,
-        updates_per_s=rates.get("gradient_steps", 0.0),
-        attempts=total.attempts,
-        recent_success=total.recent_success,
         starts_waiting=len(record.buffer),
         heartbeat_age_s=state.now - lease.heard if lease else None,
-        intervention=total.intervention,
-        successes=total.successes,
+        total=total,
+        rates=record.rates() if state.outcome is None else {},
         hint="\n".join(stuck_lines(pid, state.records, state.task)) if state.outcome is None else "",
     )
 

@@ -89,4 +89,4 @@ def _result(status: Status) -> Iterator[str]:
 def _learner(row: LearnerRow) -> str:
     age = "" if row.heartbeat_age_s is None else f", heard {row.heartbeat_age_s:.1f} s ago"
     hint = "".join(f"\n  {line}" for line in row.hint.splitlines())
-    return f"{row.pid}: {row.phase}, {row.worker or 'no worker'}, {row.interactions} interactions{age}{hint}"
+    return f"{row.pid}: {row.phase}, {row.worker or 'no worker'}, {row.total.interactions} interactions{age}{hint}"

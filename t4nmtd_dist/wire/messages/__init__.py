@@ -77,7 +77,7 @@ __all__ = [
     "WeightsRequest",
 ]
 
-PROTOCOL_VERSION = 3
+PROTOCOL_VERSION = 4
 
 KINDS: dict[str, type[Message]] = {
     str(kind.__struct_config__.tag): kind

@@ -8,29 +8,28 @@ from msgspec import field
 
 from t4nmtd_dist.wire.messages.base import Message
 from t4nmtd_dist.wire.messages.evaluations import EvaluationRow
-from t4nmtd_dist.wire.messages.statistics import Intervention, LearnerPhase
+from t4nmtd_dist.wire.messages.statistics import LearnerPhase, LearnerStats
 
 RunPhase = Literal["starting", "training", "solved", "budget spent", "stopped"]
 
 
 class LearnerRow(Message, frozen=True):
-    """One learner on the dashboard; ``heartbeat_age_s`` None: never heard of; ``hint``: lines if it is stuck."""
+    """One learner on the dashboard.
+
+    ``phase`` is the coordinator's word, that in ``total`` the learner's. ``total`` is over all epochs. ``rates`` are of
+    counters, per second over the last ten, by name. ``heartbeat_age_s`` None: never heard of. ``hint``: lines on why
+    it is stuck and what to try; empty if it is not.
+    """
 
     pid: str
     phase: LearnerPhase
     worker: str
     epoch: int
     version: int
-    interactions: int
-    steps_per_s: float
-    updates: int
-    updates_per_s: float
-    attempts: int
-    recent_success: float | None
     starts_waiting: int
     heartbeat_age_s: float | None
-    intervention: Intervention
-    successes: int = 0
+    total: LearnerStats = LearnerStats()
+    rates: dict[str, float] = field(default_factory=dict)
     hint: str = ""
 
 
