@@ -6,7 +6,7 @@ import ipaddress
 
 import zmq
 
-from t4nmtd_dist.core.errors import ConfigError, ProtocolError
+from t4nmtd_dist.core.errors import ConfigError
 from t4nmtd_dist.wire.auth.keys import ClientKeys, KeyPair
 from t4nmtd_dist.wire.codec import MAX_ARRAY_BYTES, Envelope, decode, encode
 from t4nmtd_dist.wire.endpoints import check_endpoint
@@ -179,18 +179,3 @@ def receive(socket: Socket, timeout_s: float) -> Envelope | None:
     if not socket.poll(int(timeout_s * 1000)):
         return None
     return decode(socket.recv_multipart())
-
-
-def receive_from(socket: Socket) -> tuple[bytes, Envelope | ProtocolError] | None:
-    """The next message waiting at a ROUTER with its sender; None if there is none.
-
-    A malformed message comes back as the error that describes it, so that its sender can be told.
-    """
-    try:
-        peer, *frames = socket.recv_multipart(flags=zmq.NOBLOCK)
-    except zmq.Again:
-        return None
-    try:
-        return peer, decode(frames)
-    except ProtocolError as error:
-        return peer, error

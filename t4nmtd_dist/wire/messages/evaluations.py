@@ -14,9 +14,9 @@ LONGEST_PATH = 4000  # below the longest list that a header may hold
 
 
 class EvaluationPoll(Message, frozen=True, tag="evaluation_poll"):
-    """Evaluator -> coordinator, every second while idle: heartbeat, and answered by a job once one is due.
+    """Evaluator -> coordinator, 0.2 s after each answer while idle: heartbeat; answered by a job once one is due.
 
-    ``busy``: only a heartbeat in the midst of an evaluation, which is answered by job 0.
+    ``busy``: only a heartbeat during an evaluation, answered by job 0.
     """
 
     epoch: Count

@@ -48,7 +48,7 @@ class Granted(Message, frozen=True, tag="granted"):
 class Refused(Message, frozen=True, tag="refused"):
     """Coordinator -> worker: no lease. ``final`` says that asking again cannot help."""
 
-    reason: Literal["unknown pid", "lease is live", "nothing free", "stale epoch", "finished"]
+    reason: Literal["unknown pid", "lease is live", "nothing free", "stale epoch"]
     text: str
     final: bool
     pid: str | None = None

@@ -13,7 +13,7 @@ class ValueRequest(Message, frozen=True, tag="value_request"):
 
 
 class ValueReply(Message, frozen=True, tag="value_reply"):
-    """Peer -> learner. arrays: ``value`` float32 [k]."""
+    """Peer -> learner. arrays: ``value`` float32 [k] (PPO) or float32 [k, 2] (SAC: value and log-probability)."""
 
     version: Count
 
