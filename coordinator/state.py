@@ -33,7 +33,7 @@ from coordinator.numbering import numbered
 from coordinator.refusals import live_lease, stale_evaluator, unknown_pid
 from coordinator.stand_ins import StandIns
 from coordinator.stuck import StuckWatch
-from t4nmtd_dist.agents.actors import acting_parameters
+from t4nmtd_dist.agents.weights import acting_parameters
 from t4nmtd_dist.core.errors import ProtocolError
 from t4nmtd_dist.method.compiled import CompiledTask
 from t4nmtd_dist.method.start_states import InitialStateBuffer
