@@ -8,11 +8,11 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from t4nmtd_dist.agents.common.networks import part_of
 from t4nmtd_dist.agents.common.peer_values import LocalPeers, PeerValues, Questions
 from t4nmtd_dist.agents.registry import build_learner
 from t4nmtd_dist.agents.sac.agent import SACLearner
 from t4nmtd_dist.agents.sac.fast_cpu.update import SACUpdater
+from t4nmtd_dist.agents.weights import part_of
 from t4nmtd_dist.method.compiled import CompiledTask, compile_task
 from t4nmtd_dist.method.start_states import InitialStateBuffer
 from t4nmtd_dist.tasks import load_task

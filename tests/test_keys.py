@@ -39,18 +39,9 @@ from t4nmtd_dist.wire.messages import Claim, Failure, Granted, LearnerStats, Mes
 from t4nmtd_dist.wire.peers.critic_client import QueryPeers
 from t4nmtd_dist.wire.rate_limited_log import Notices
 from t4nmtd_dist.wire.secure_receiver import Gate
-from t4nmtd_dist.wire.sockets import (
-    Context,
-    Socket,
-    bind,
-    bound_endpoint,
-    connect,
-    new_context,
-    receive,
-    send,
-    subscribe,
-)
+from t4nmtd_dist.wire.sockets import bind, bound_endpoint, connect, receive, send, subscribe
 from t4nmtd_dist.wire.status_client import ask_status
+from t4nmtd_dist.wire.zmq_types import Context, Socket, new_context
 from workers.critic_service import CriticService
 
 DEADLINE_S = 20.0
@@ -333,6 +324,7 @@ def soon(holds: Callable[[], object]) -> None:
 @pytest.fixture
 def running(folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Running]:
     monkeypatch.setattr("coordinator.service.FAREWELL_S", 0.0)
+    monkeypatch.setattr("coordinator.service.LONGEST_FAREWELL_S", 4.0)  # nobody here says a last word
     monkeypatch.setattr("t4nmtd_dist.wire.auth.allow_list.REREAD_S", 0.05)
     state = CoordinatorState(small_task(), RunSettings(seed=0, max_interactions=1000))
     service = CoordinatorService(state, tmp_path / "run", Access(FREE_PORT, FREE_PORT, folder))

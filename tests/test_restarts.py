@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import signal
 import subprocess
 import sys
 import time
@@ -18,6 +19,10 @@ DEADLINE_S = 30.0
 SLEEPS = "import time; time.sleep(60)"
 REFUSES = "import sys; print('t4nmtd-worker: mend me', file=sys.stderr); sys.exit(2)"
 CRASHES = "import os; os.abort()"
+DEAF = (
+    "import pathlib, signal, time; signal.signal(signal.SIGTERM, signal.SIG_IGN); pathlib.Path({mark!r}).touch(); "
+    "time.sleep(60)"
+)
 REFUSES_ONCE = (
     "import pathlib, sys, time; mark = pathlib.Path({mark!r}); known = mark.exists(); mark.touch(); "
     "time.sleep(60) if known else sys.exit(2)"
@@ -126,6 +131,23 @@ def test_the_last_words_of_a_worker_are_short_and_a_log_that_is_gone_has_none(tm
     log.write_text("x" * 50_000 + "\nlast words\n", encoding="utf-8")
     first, last = local._tail(log).splitlines()
     assert (len(first), first[-3:], last) == (local.LONGEST_LINE, "...", "last words")
+
+
+def test_a_worker_that_does_not_end_in_time_is_killed_and_told_of(
+    processes: Launcher, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(local, "END_DEADLINE_S", 0.5)
+    mark = tmp_path / "deaf"
+    processes.start_worker("deaf", [DEAF.format(mark=str(mark))])
+    processes.start_worker("good", [SLEEPS])
+    deadline = time.monotonic() + DEADLINE_S
+    while not mark.exists():
+        assert time.monotonic() < deadline
+        time.sleep(0.01)
+    processes.end()
+    (line,) = told(processes)
+    assert line.startswith("worker deaf did not end within")
+    assert processes._children["deaf"].process.returncode == -signal.SIGKILL
 
 
 def test_a_worker_whose_log_was_deleted_is_started_again(processes: Launcher, tmp_path: Path) -> None:

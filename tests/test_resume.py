@@ -11,6 +11,7 @@ import msgspec
 import numpy as np
 import pytest
 from coordinator_events import Conversation, changes, starts, weights
+from learner_work import STEPS, Work
 from small_sac import AT_G1, TO_G2, car_at, small_sac_task
 from small_tasks import START, TO_PASSENGER_2, small_task, snapshot_after
 
@@ -19,7 +20,6 @@ from coordinator.events import Interrupted
 from coordinator.saved_state import load_saved_state, raise_counts, saved_counts, saved_state
 from coordinator.snapshot import summary
 from coordinator.state import RunSettings
-from t4nmtd_dist.agents.common.peer_values import NoPeers
 from t4nmtd_dist.agents.registry import build_learner
 from t4nmtd_dist.core.state_dict import copied, joined, split
 from t4nmtd_dist.launch.serial import SerialRun
@@ -34,14 +34,12 @@ from t4nmtd_dist.wire.messages import (
     EvaluationPoll,
     EvaluationReport,
     Goodbye,
-    Granted,
     LearnerStats,
     Refused,
     Release,
     SyncReply,
 )
 from workers.checkpointing import SessionKeeper
-from workers.learner_session import LearnerSession
 
 EVALUATED = ("evaluation.every=60", "evaluation.episodes=2", "environment.horizon=20", "learner.attempt_steps=12")
 SAC = ("sac.relabel_share=0.5", "sac.success_share=0.25", "sac.updates_per_step=0.3", 'learner.hand_over="changes"')
@@ -310,43 +308,6 @@ def test_the_clock_stands_still_after_the_end() -> None:
 
 
 # Learners under leases
-
-STEPS = 64  # of one iteration of a tiny learner
-
-
-class Work:
-    """The learner of p1 under leases of a coordinator in the same process."""
-
-    def __init__(self, talk: Conversation | None = None) -> None:
-        self.talk = talk or Conversation()
-        self.peers = NoPeers()
-        self.claim()
-
-    def claim(self, state: Any = None) -> None:
-        actions = self.talk.answers("w", self.talk.claim_message("p1", "w"))
-        granted = actions[0].message
-        assert isinstance(granted, Granted)
-        self.granted, self.session = granted, LearnerSession(granted, actions[0].arrays)
-        if state is not None:
-            self.session.go_on_from(state, granted, actions[0].arrays)
-
-    def iterate(self, times: int) -> None:
-        for _ in range(times):
-            assert self.session.iterate(self.peers)
-            sync = self.session.next_sync(float("inf"), 0.0)
-            assert sync is not None
-            self.hear(sync)
-
-    def hear(self, sync: Envelope) -> None:
-        for sent in self.talk.answers("w", sync.message, sync.arrays):
-            self.session.take_reply(Envelope(sent.message, sent.arrays))
-
-    def kept(self) -> Any:
-        return joined(*split(copied(self.session.state_dict())))
-
-    @property
-    def counted(self) -> int:
-        return self.talk.state.interactions
 
 
 def test_a_killed_learner_goes_on_and_counts_only_what_it_does_then() -> None:

@@ -18,10 +18,11 @@ from small_sac import AT_G1, PIDS, START, TO_G2, TO_G3, TO_G4, averaged, product
 from coordinator.snapshot import summary
 from coordinator.state import RunSettings
 from t4nmtd_dist.agents.actors import GaussianActor, scaled
-from t4nmtd_dist.agents.common.networks import part_of, product_state
+from t4nmtd_dist.agents.common.networks import product_state
 from t4nmtd_dist.agents.common.peer_values import NoPeers
 from t4nmtd_dist.agents.registry import build_learner
 from t4nmtd_dist.agents.sac.agent import SACLearner
+from t4nmtd_dist.agents.weights import part_of
 from t4nmtd_dist.cli.check import check
 from t4nmtd_dist.core.errors import ConfigError, EnvError, PolicyError, ProtocolError
 from t4nmtd_dist.environments.action_spaces import action_bounds

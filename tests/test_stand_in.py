@@ -13,8 +13,8 @@ from small_tasks import small_task
 
 from coordinator.events import Received, RecordEvaluation, Send, Tell
 from coordinator.stand_ins import STAND_IN_AFTER_S
-from t4nmtd_dist.agents.actors import acting_parameters
 from t4nmtd_dist.agents.registry import build_learner
+from t4nmtd_dist.agents.weights import acting_parameters
 from t4nmtd_dist.core.errors import PolicyError
 from t4nmtd_dist.method.start_states import InitialStateBuffer
 from t4nmtd_dist.policy.evaluation import Evaluator

@@ -35,7 +35,8 @@ from t4nmtd_dist.wire.messages import (
     Role,
     SyncReply,
 )
-from t4nmtd_dist.wire.sockets import connect, new_context, receive, send
+from t4nmtd_dist.wire.sockets import connect, receive, send
+from t4nmtd_dist.wire.zmq_types import new_context
 from workers.critic_service import CriticService
 from workers.evaluation_work import EvaluationWork
 from workers.lazy_import import Loader, WaitingLease, check_trust
@@ -51,7 +52,7 @@ SYNC_INTERVAL_S = 0.2
 HEARTBEAT_S = 0.5
 IDLE_POLL_S = 0.05
 LONG_TURN_S = 2.0
-LAST_ANSWERS_S = 1.0
+LAST_ANSWERS_S = 5.0  # counts told but not answered are told again by a resume
 STOPPED = 130
 
 
@@ -158,11 +159,11 @@ class Worker:
     def _end_work(self) -> None:
         """Tell the coordinator the rest, give everything back, and keep what was learned."""
         sessions = list(self._sessions.values())
-        for session in sessions:
-            sync = session.last_sync()
-            self._send(sync.message, sync.arrays)
+        syncs = [session.last_sync() for session in sessions]
+        sent = [self._send(sync.message, sync.arrays) for sync in syncs]
         self._give_back()
-        self._hear_answers(sessions)
+        if any(sent):
+            self._hear_answers(sessions)
         if self._keeper is not None and self._solved:
             self._keeper.delete(sessions)
         elif self._keeper is not None:
@@ -183,8 +184,6 @@ class Worker:
     def _turn(self) -> None:
         self._open_sessions()
         busy = self._evaluate() or (not self._stand_in.waiting and self._learn())
-        if self._keeper is not None:
-            self._keeper.turn(self._sessions.values())
         self._watch_connection()
         self._hear(0.0 if busy else IDLE_POLL_S)
         now = time.monotonic()
@@ -201,6 +200,8 @@ class Worker:
             if evaluation is not None:
                 evaluation.tell()
         self._last_syncs = now
+        if self._keeper is not None:
+            self._keeper.turn(self._sessions.values())
 
     def _keep_leases(self) -> None:
         """Within a turn: a sign of life for every lease that would run out if this turn took much longer."""
@@ -238,8 +239,8 @@ class Worker:
             session.processor_s += time.process_time() - began
         return any(trained)
 
-    def _send(self, message: Message, arrays: Mapping[str, NDArray[Any]] | None = None, *, number: int = 0) -> None:
-        send(self._control, Envelope(message, arrays or {}, self._options.instance, number))
+    def _send(self, message: Message, arrays: Mapping[str, NDArray[Any]] | None = None, *, number: int = 0) -> bool:
+        return send(self._control, Envelope(message, arrays or {}, self._options.instance, number))
 
     def _hear(self, timeout_s: float) -> None:
         while self._exit is None:

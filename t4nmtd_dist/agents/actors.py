@@ -10,8 +10,9 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from t4nmtd_dist.agents.common.networks import Weights, load_weights, mlp, part_of
+from t4nmtd_dist.agents.common.networks import load_weights, mlp
 from t4nmtd_dist.agents.common.normalisation import Normalisation, stored_normalisation
+from t4nmtd_dist.agents.weights import Weights, acting_parameters, part_of
 from t4nmtd_dist.core.config import LearnerConfig
 from t4nmtd_dist.core.errors import PolicyError
 
@@ -105,16 +106,6 @@ def scaled(actions: NDArray[np.float32], low: NDArray[np.float32], high: NDArray
     """Actions [N, A] in [-1, 1] stretched to [low, high], both ends included."""
     stretched: NDArray[np.float32] = np.clip((1 - actions) * (low / 2) + (1 + actions) * (high / 2), low, high)
     return stretched
-
-
-def acting_parameters(weights: Mapping[str, NDArray[Any]]) -> Weights:
-    """The parameters, named ``actor.*``, of the actor that is evaluated and exported: the average, if one is kept.
-
-    Statistics of observations are among them, where the learner normalises those.
-    """
-    kept = part_of(weights, "average") or part_of(weights, "actor")
-    kept |= {name: array for name, array in weights.items() if name.startswith("normalisation.")}
-    return {f"actor.{name}": array for name, array in kept.items()}
 
 
 def make_actor(config: LearnerConfig, weights: Mapping[str, NDArray[Any]]) -> Actor:

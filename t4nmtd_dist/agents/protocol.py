@@ -8,10 +8,10 @@ from typing import Any, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from t4nmtd_dist.agents.common.networks import Weights
 from t4nmtd_dist.agents.common.peer_values import PeerCritics, Values
 from t4nmtd_dist.agents.common.replay_buffer import Experience
 from t4nmtd_dist.agents.common.rollout import Attempts
+from t4nmtd_dist.agents.weights import Weights
 from t4nmtd_dist.core.state_dict import State
 from t4nmtd_dist.environments.batched import Observations
 

@@ -7,8 +7,8 @@ from contextlib import suppress
 
 from t4nmtd_dist.core.errors import ConfigError
 from t4nmtd_dist.wire.auth.keys import ClientKeys
-from t4nmtd_dist.wire.sockets import new_context
 from t4nmtd_dist.wire.status_client import give_notice
+from t4nmtd_dist.wire.zmq_types import new_context
 
 TIMEOUT_S = 2.0
 
@@ -40,6 +40,11 @@ class DeathNotices:
             with suppress(ConfigError):  # of an endpoint that cannot be connected to, of which others tell
                 give_notice(context, self.control, self._keys, text, TIMEOUT_S)
             context.term()
+
+    def release(self) -> None:
+        """Print what was held, and from now on all at once and nowhere else: the coordinator is about to end."""
+        self.control, self._held = "", False
+        self.print()
 
     def print(self) -> None:
         """Print what was not printed yet."""

@@ -217,18 +217,20 @@ class LocalProcesses:
 
     def end(self) -> None:
         """End whatever still runs, politely first; returns as soon as all have written their checkpoints."""
-        running = [child.process for child in self._children.values()]
-        running += [self._coordinator] if self._coordinator is not None else []
-        for process in running:
+        running = {f"worker {child.name}": child.process for child in self._children.values()}
+        running |= {"the coordinator": self._coordinator} if self._coordinator is not None else {}
+        for process in running.values():
             if process.poll() is None:
                 process.terminate()
         deadline = time.monotonic() + END_DEADLINE_S
-        for process in running:
+        for name, process in running.items():
             try:
                 process.wait(max(0.0, deadline - time.monotonic()))
             except subprocess.TimeoutExpired:
                 process.kill()
                 process.wait()
+                late = f"{name} did not end within {END_DEADLINE_S:.0f} s and was killed"
+                self.report(f"{late}; its newest checkpoint may be older than what was counted", True)
 
 
 def role(program: str) -> list[str]:

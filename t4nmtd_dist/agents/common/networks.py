@@ -10,9 +10,8 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor, nn
 
-from t4nmtd_dist.core.errors import PolicyError, ProtocolError
-
-Weights = dict[str, NDArray[Any]]
+from t4nmtd_dist.agents.weights import Weights
+from t4nmtd_dist.core.errors import PolicyError
 
 
 def mlp(inputs: int, hidden: Sequence[int], outputs: int, *, last_gain: float) -> nn.Sequential:
@@ -43,23 +42,6 @@ def product_state(observations: NDArray[np.float32], q: NDArray[np.int32], dfa_s
 def weights_of(module: nn.Module) -> Weights:
     """Copies of a module's parameters as numpy arrays by name."""
     return {name: tensor.detach().cpu().numpy().copy() for name, tensor in module.state_dict().items()}
-
-
-def part_of(arrays: Mapping[str, NDArray[Any]], part: str) -> Weights:
-    """The arrays named ``part.*``, without that prefix."""
-    prefix = part + "."
-    return {name.removeprefix(prefix): array for name, array in arrays.items() if name.startswith(prefix)}
-
-
-def check_finite(weights: Mapping[str, NDArray[Any]]) -> None:
-    """Check weights that came from elsewhere.
-
-    Raises:
-        ProtocolError: if they are not all finite.
-    """
-    for name, array in weights.items():
-        if not np.isfinite(array).all():
-            raise ProtocolError(f"weights are expected to be finite; {name} is not")
 
 
 def load_weights(module: nn.Module, weights: Mapping[str, NDArray[Any]]) -> None:

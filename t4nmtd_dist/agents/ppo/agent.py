@@ -14,13 +14,14 @@ from numpy.typing import NDArray
 from torch import Tensor, nn
 
 from t4nmtd_dist.agents.common.flat_adam import FlatAdam
-from t4nmtd_dist.agents.common.networks import Weights, check_finite, load_weights, mlp, product_state, weights_of
+from t4nmtd_dist.agents.common.networks import load_weights, mlp, product_state, weights_of
 from t4nmtd_dist.agents.common.normalisation import Normalisation
 from t4nmtd_dist.agents.common.peer_values import PeerCritics, Questions, Values
 from t4nmtd_dist.agents.common.replay_buffer import Experience
 from t4nmtd_dist.agents.common.rollout import Attempts, Mask
 from t4nmtd_dist.agents.common.value_request import read_value_request
 from t4nmtd_dist.agents.ppo.config import PPOConfig
+from t4nmtd_dist.agents.weights import Weights, check_finite
 from t4nmtd_dist.core.config import LearnerConfig
 from t4nmtd_dist.core.devices import Device
 from t4nmtd_dist.core.state_dict import State

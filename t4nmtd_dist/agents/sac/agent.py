@@ -13,7 +13,6 @@ from numpy.typing import NDArray
 
 from t4nmtd_dist.agents.actors import scaled
 from t4nmtd_dist.agents.common.exploration import HeldActionExploration, SinusoidExploration
-from t4nmtd_dist.agents.common.networks import Weights
 from t4nmtd_dist.agents.common.normalisation import Normalisation
 from t4nmtd_dist.agents.common.peer_values import PeerCritics, Values
 from t4nmtd_dist.agents.common.replay_buffer import Experience
@@ -24,6 +23,7 @@ from t4nmtd_dist.agents.sac.fast_cpu.update import SACUpdater
 from t4nmtd_dist.agents.sac.interface import PeerSoftValues, SACSettings
 from t4nmtd_dist.agents.sac.published import PublishedSoftCritic
 from t4nmtd_dist.agents.sac.torch_update import updater_on
+from t4nmtd_dist.agents.weights import Weights
 from t4nmtd_dist.core.config import LearnerConfig
 from t4nmtd_dist.core.devices import Device
 from t4nmtd_dist.core.state_dict import State

@@ -15,8 +15,8 @@ import numpy as np
 from numpy.typing import NDArray
 from torch import Tensor
 
-from t4nmtd_dist.agents.common.networks import Weights
 from t4nmtd_dist.agents.common.squashed_gaussian import Reals
+from t4nmtd_dist.agents.weights import Weights
 
 Floats = NDArray[np.float32]
 

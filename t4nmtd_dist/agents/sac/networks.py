@@ -21,8 +21,8 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from t4nmtd_dist.agents.common.networks import Weights
 from t4nmtd_dist.agents.sac.fast_cpu.matmul import multiply_add
+from t4nmtd_dist.agents.weights import Weights
 from t4nmtd_dist.core.errors import PolicyError
 
 LAYER_NORM_EPSILON = 1e-5

@@ -12,10 +12,10 @@ import torch
 from numpy.typing import NDArray
 
 from t4nmtd_dist.agents.common.flat_adam import FlatAdam
-from t4nmtd_dist.agents.common.networks import Weights, part_of
 from t4nmtd_dist.agents.common.squashed_gaussian import Reals
 from t4nmtd_dist.agents.sac.interface import Floats, SACSettings
 from t4nmtd_dist.agents.sac.networks import Stack, StackShape
+from t4nmtd_dist.agents.weights import Weights, part_of
 from t4nmtd_dist.core.errors import PolicyError
 
 NO_UPDATE = "no update yet: targets are those of the last one"

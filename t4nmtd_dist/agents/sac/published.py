@@ -12,11 +12,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from t4nmtd_dist.agents.common.networks import Weights, check_finite, part_of, product_state
+from t4nmtd_dist.agents.common.networks import product_state
 from t4nmtd_dist.agents.common.normalisation import Normalisation
 from t4nmtd_dist.agents.common.peer_values import Values
 from t4nmtd_dist.agents.common.value_request import read_value_request
 from t4nmtd_dist.agents.sac.interface import SoftActorCritic
+from t4nmtd_dist.agents.weights import Weights, check_finite, part_of
 
 NO_STATISTICS: Mapping[str, NDArray[Any]] = {}
 
