@@ -51,8 +51,8 @@ from t4nmtd_dist.method.compiled import compile_task
 from t4nmtd_dist.runs.directory import CHECKPOINTS_FOLDER, CONFIG_FILE, ENDPOINTS_FILE
 from t4nmtd_dist.tasks import load_task
 from t4nmtd_dist.wire.messages import Status
-from t4nmtd_dist.wire.sockets import new_context
 from t4nmtd_dist.wire.status_client import Inquiry
+from t4nmtd_dist.wire.zmq_types import new_context
 
 PIDS = ("g1", "g2", "g3", "g4")
 STARTS = 50
@@ -103,10 +103,10 @@ class Counts:
         self.cpu_s += cpu_s
         for sign, status in ((-1, before), (1, after)):
             for row in status.learners:
-                self.steps += sign * row.interactions
-                self.updates += sign * row.updates
+                self.steps += sign * row.total.interactions
+                self.updates += sign * row.total.gradient_steps
                 for name in ("asked", "answered", "late", "own_used", "lag_total"):
-                    setattr(self, name, getattr(self, name) + sign * getattr(row.intervention, name))
+                    setattr(self, name, getattr(self, name) + sign * getattr(row.total.intervention, name))
 
 
 @dataclass
@@ -171,7 +171,7 @@ class Run:
         deadline = time.monotonic() + START_S
         while True:
             learners = self.status().learners
-            if all(row.updates > WARM_UPDATES and row.recent_success for row in learners):
+            if all(row.total.gradient_steps > WARM_UPDATES and row.total.recent_success for row in learners):
                 return
             self._check(deadline)
 
@@ -250,7 +250,7 @@ def results(runs: Sequence[Run]) -> list[dict[str, object]]:
                 "own_used": round(total.own_used / total.asked, 4) if total.asked else None,
                 "late": round(total.late / total.asked, 4) if total.asked else None,
                 "lag_mean": round(total.lag_total / total.answered, 3) if total.answered else None,
-                "success": [round(row.recent_success or 0.0, 2) for row in run.status().learners],
+                "success": [round(row.total.recent_success or 0.0, 2) for row in run.status().learners],
             }
         )
     for row in rows:

@@ -36,10 +36,10 @@ from t4nmtd_dist.agents.common.batch_source import BatchSource
 from t4nmtd_dist.agents.common.batches import Batch
 from t4nmtd_dist.agents.common.relabelling import ExperienceReader
 from t4nmtd_dist.agents.common.replay_buffer import Experience
+from t4nmtd_dist.agents.sac.config import SACConfig
 from t4nmtd_dist.agents.sac.fast_cpu.matmul import multiply
 from t4nmtd_dist.agents.sac.fast_cpu.update import SACUpdater
 from t4nmtd_dist.agents.sac.updater import PeerSoftValues, SACSettings
-from t4nmtd_dist.core.config import SACConfig
 from t4nmtd_dist.method.compiled import CompiledTask, compile_task
 from t4nmtd_dist.method.rewards import subtask_tables
 from t4nmtd_dist.tasks import load_task

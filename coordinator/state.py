@@ -30,7 +30,6 @@ from coordinator.intake import Intake, usable
 from coordinator.learner_registry import LearnerRecord
 from coordinator.leases import Lease, LeaseTable
 from coordinator.numbering import numbered
-from coordinator.progress import ReceivedProgress, read_progress, stack_starts
 from coordinator.refusals import live_lease, stale_evaluator, unknown_pid
 from coordinator.stand_ins import StandIns
 from coordinator.stuck import StuckWatch
@@ -58,6 +57,7 @@ from t4nmtd_dist.wire.messages import (
     Sync,
     SyncReply,
 )
+from t4nmtd_dist.wire.progress import PackedProgress, pack_starts, unpack_progress
 
 EVALUATOR = "evaluator"
 STARTS_PER_REPLY = 256
@@ -283,7 +283,7 @@ class CoordinatorState:
 
     def _accept(self, sync: Sync, arrays: Mapping[str, NDArray[Any]]) -> list[Action]:
         """Take in what is new: progress, counts and weights; lines about what is of no use."""
-        progress = read_progress(arrays, self.task.dfa.states, self.snapshot)
+        progress = unpack_progress(arrays, self.task.dfa.states, self.snapshot)
         record = self.records[sync.pid]
         told: list[Action] = []
         if sync.sequence > record.sequence:
@@ -320,7 +320,7 @@ class CoordinatorState:
         refused = Refused(reason="stale epoch", text=text, final=final, pid=sync.pid)
         return [Send(peer, refused, answers=answers)]
 
-    def _apply(self, pid: str, progress: ReceivedProgress) -> list[Action]:
+    def _apply(self, pid: str, progress: PackedProgress) -> list[Action]:
         for q, q_next, steps, reward in progress.changes:
             if q_next < 0:
                 self.high_level.fail(q, pid)
@@ -349,7 +349,7 @@ class CoordinatorState:
             peers=self._peers(sync.pid),
             evaluate=self.interactions > 0 and self.stand_ins.wanted(self.now) and self._evaluation_due(),
         )
-        return Send(peer, reply, stack_starts([(q, state) for _, q, state in fresh]), answers)
+        return Send(peer, reply, pack_starts([(q, state) for _, q, state in fresh]), answers)
 
     def _peers(self, pid: str) -> dict[str, Peer]:
         return {

@@ -7,7 +7,7 @@ from collections.abc import Iterator
 
 import pytest
 
-from t4nmtd_dist.wire.sockets import Context, new_context
+from t4nmtd_dist.wire.zmq_types import Context, new_context
 from workers.critic_service import CriticService
 
 

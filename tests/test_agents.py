@@ -18,6 +18,7 @@ from t4nmtd_dist.agents.modules import actor_module, builder_module, shapes_modu
 from t4nmtd_dist.agents.protocol import Learner
 from t4nmtd_dist.agents.weight_checks import check_weights, expected_shapes
 from t4nmtd_dist.agents.weights import acting_parameters
+from t4nmtd_dist.core.agent_settings import agent_settings
 from t4nmtd_dist.core.errors import ConfigError, PolicyError
 from t4nmtd_dist.core.registry import AGENTS
 from t4nmtd_dist.method.compiled import CompiledTask
@@ -70,7 +71,7 @@ def test_the_weights_of_a_learner_are_those_that_the_coordinator_expects(name: s
 @every_agent
 def test_the_exploration_settings_that_are_recommended_exist(name: str) -> None:
     settings = TASKS[name]().config.to_dict()
-    for setting in shapes_module(name).EXPLORATION:
+    for setting in agent_settings(name).exploration:
         section, key = setting.split(".")
         assert key in settings[section]
 

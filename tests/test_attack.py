@@ -14,8 +14,8 @@ import pytest
 from processes import Processes, endpoints, events, processes_of
 
 from t4nmtd_dist.wire.messages import DashboardState
-from t4nmtd_dist.wire.sockets import new_context
 from t4nmtd_dist.wire.status_client import ask_status
+from t4nmtd_dist.wire.zmq_types import new_context
 
 MALFORMED = 100_000
 SOLVE_S = 240.0

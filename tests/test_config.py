@@ -11,8 +11,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 from small_tasks import own_task
 
-from t4nmtd_dist.core.config import TaskConfig, merge, settings_from_flags, task_config
+from t4nmtd_dist.agents.ppo.config import PPOConfig
+from t4nmtd_dist.core.config import task_config
 from t4nmtd_dist.core.errors import ConfigError
+from t4nmtd_dist.core.setting_sources import merge, settings_from_flags
 from t4nmtd_dist.tasks import load_task, task_names
 
 OWN = """
@@ -47,10 +49,10 @@ def test_defaults_give_way_to_the_task_to_configs_in_order_and_to_flags(own: Pat
     flags = ["ppo.rollout=6"]
     config = load_task(str(own), configs=[first, second], flags=flags)
     plain = load_task(str(own))
-    assert (plain.learner.gamma, plain.learner.attempt_steps, plain.ppo.num_envs) == (0.5, 7, 3)
+    assert (plain.learner.gamma, plain.learner.attempt_steps, plain.agents["ppo"].num_envs) == (0.5, 7, 3)
     assert (config.learner.gamma, config.learner.attempt_steps) == (0.7, 8)
-    assert (config.ppo.rollout, config.ppo.num_envs) == (6, 3)
-    assert config.ppo.epochs == plain.ppo.epochs == TaskConfig.__dataclass_fields__["ppo"].default.epochs
+    assert (config.agents["ppo"].rollout, config.agents["ppo"].num_envs) == (6, 3)
+    assert config.agents["ppo"].epochs == plain.agents["ppo"].epochs == PPOConfig().epochs
 
 
 @pytest.mark.parametrize("name", task_names())

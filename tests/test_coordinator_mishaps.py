@@ -43,7 +43,8 @@ from t4nmtd_dist.wire.messages import (
     StatusRequest,
     SyncReply,
 )
-from t4nmtd_dist.wire.sockets import Context, receive, subscribe
+from t4nmtd_dist.wire.sockets import receive, subscribe
+from t4nmtd_dist.wire.zmq_types import Context
 
 LARGEST = LearnerStats(
     phase="training",
@@ -91,7 +92,9 @@ def can_be_shown_and_kept(state: CoordinatorState, folder: Path) -> None:
     again = CoordinatorState(state.task, state.settings)
     go_on(again, folder, print)
     assert again.interactions == state.interactions
-    assert dashboard_state(again).learners[0].interactions == dashboard_state(state).learners[0].interactions
+    assert (
+        dashboard_state(again).learners[0].total.interactions == dashboard_state(state).learners[0].total.interactions
+    )
 
 
 def test_the_largest_counts_add_up_over_epochs_and_survive_a_resume(tmp_path: Path) -> None:

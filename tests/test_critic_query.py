@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 import zmq
 from numpy.typing import NDArray
+from routers import receive_from
 from small_tasks import CARRYING_2, START, small_learner
 
 from t4nmtd_dist.agents.common.peer_values import NoPeers, PeerValues, Questions
@@ -19,16 +20,8 @@ from t4nmtd_dist.agents.ppo.agent import PATIENCE_S, PPOLearner
 from t4nmtd_dist.wire.codec import Envelope
 from t4nmtd_dist.wire.messages import Failure, Message, Peer, Release, ValueReply, ValueRequest
 from t4nmtd_dist.wire.peers.critic_client import QueryPeers
-from t4nmtd_dist.wire.sockets import (
-    Context,
-    Socket,
-    bind,
-    bound_endpoint,
-    connect,
-    receive,
-    receive_from,
-    send,
-)
+from t4nmtd_dist.wire.sockets import bind, bound_endpoint, connect, receive, send
+from t4nmtd_dist.wire.zmq_types import Context, Socket
 from workers.critic_service import CriticService
 
 WAIT_S = 10.0

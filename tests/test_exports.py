@@ -6,6 +6,8 @@ import json
 import os
 import shutil
 import signal
+import subprocess
+import sys
 import threading
 import time
 from collections.abc import Iterator
@@ -23,6 +25,7 @@ from coordinator.checkpointing import go_on
 from coordinator.events import Interrupted
 from coordinator.run_logger import Recorder
 from coordinator.saved_state import saved_state
+from t4nmtd_dist import policy
 from t4nmtd_dist.core.errors import PolicyError
 from t4nmtd_dist.policy.export import POLICY_FILE, export_policy
 from t4nmtd_dist.policy.global_policy import load
@@ -35,6 +38,21 @@ EXPORTS = 150
 def about(run: Path) -> dict[str, Any]:
     found: dict[str, Any] = json.loads((run / "policy" / POLICY_FILE).read_text(encoding="utf-8"))["about"]
     return found
+
+
+# Without torch
+
+
+def test_a_coordinator_exports_and_reads_policies_without_torch() -> None:
+    code = "import sys, t4nmtd_dist.policy.export; assert not {'torch', 'gymnasium'} & set(sys.modules)"
+    subprocess.run([sys.executable, "-c", code], check=True)
+
+
+def test_the_package_offers_what_its_programs_use() -> None:
+    assert policy.load is load
+    assert {"GlobalPolicy", "load"} <= set(dir(policy))
+    with pytest.raises(AttributeError, match="has no attribute 'lode'"):
+        _ = policy.lode
 
 
 # While others read

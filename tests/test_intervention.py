@@ -12,6 +12,7 @@ import zmq
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
+from routers import receive_from
 from small_sac import PIDS, START, TO_G2, TO_G3, small_sac
 from small_tasks import small_learner
 
@@ -30,17 +31,8 @@ from t4nmtd_dist.wire.messages import (
 )
 from t4nmtd_dist.wire.peers.critic_client import GATHERINGS_PER_REQUEST, ROWS_PER_REQUEST, QueryPeers
 from t4nmtd_dist.wire.peers.replica import FIRST_PULL_EVERY_S, PULL_EVERY_S, ReplicaPeers
-from t4nmtd_dist.wire.sockets import (
-    Context,
-    Socket,
-    bind,
-    bound_endpoint,
-    connect,
-    new_context,
-    receive,
-    receive_from,
-    send,
-)
+from t4nmtd_dist.wire.sockets import bind, bound_endpoint, connect, receive, send
+from t4nmtd_dist.wire.zmq_types import Context, Socket, new_context
 from workers.critic_service import WEIGHTS_EVERY_S, CriticService
 
 WAIT_S = 20.0

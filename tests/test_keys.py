@@ -39,18 +39,9 @@ from t4nmtd_dist.wire.messages import Claim, Failure, Granted, LearnerStats, Mes
 from t4nmtd_dist.wire.peers.critic_client import QueryPeers
 from t4nmtd_dist.wire.rate_limited_log import Notices
 from t4nmtd_dist.wire.secure_receiver import Gate
-from t4nmtd_dist.wire.sockets import (
-    Context,
-    Socket,
-    bind,
-    bound_endpoint,
-    connect,
-    new_context,
-    receive,
-    send,
-    subscribe,
-)
+from t4nmtd_dist.wire.sockets import bind, bound_endpoint, connect, receive, send, subscribe
 from t4nmtd_dist.wire.status_client import ask_status
+from t4nmtd_dist.wire.zmq_types import Context, Socket, new_context
 from workers.critic_service import CriticService
 
 DEADLINE_S = 20.0

@@ -218,7 +218,7 @@ def test_a_worker_killed_before_its_first_success_starts_again_and_the_task_is_s
     processes.until(lambda: "g takes g (epoch 1)" in events(run), "g is held")
     number = worker_number(run, "g")
     assert number is not None
-    assert rows(processes.until_state(run, lambda state: True, "a state"))["g"].recent_success is None
+    assert rows(processes.until_state(run, lambda state: True, "a state"))["g"].total.recent_success is None
     os.kill(number, signal.SIGKILL)
     processes.until(lambda: "g takes g (epoch 2)" in events(run), "g is held again")
     assert worker_number(run, "g") not in (None, number)

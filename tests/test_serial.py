@@ -66,7 +66,8 @@ def test_interactions_are_those_of_the_learners_worlds() -> None:
     config = small_task(*FLAGS).config
     trained = {pid: s.learner.version for pid, s in run.sessions.items()}
     assert trained["p1"] == trained["p2"] == trained["p3"] == 3
-    assert run.coordinator.interactions == sum(trained.values()) * config.ppo.num_envs * config.ppo.rollout
+    ppo = config.agents["ppo"]
+    assert run.coordinator.interactions == sum(trained.values()) * ppo.num_envs * ppo.rollout
 
 
 def test_the_learner_of_the_goal_gets_start_states_from_the_others() -> None:

@@ -12,6 +12,7 @@ import zmq
 from hypothesis import given
 from hypothesis import strategies as st
 from numpy.typing import NDArray
+from routers import receive_from
 from small_sac import AT_G1, PIDS, TO_G2, small_sac, small_sac_task
 
 from t4nmtd_dist.agents.common.off_policy import OffPolicyLearner
@@ -29,7 +30,8 @@ from t4nmtd_dist.wire.peers.experience_client import (
     PeerExperience,
     checked_columns,
 )
-from t4nmtd_dist.wire.sockets import Context, Socket, bind, bound_endpoint, receive_from, send
+from t4nmtd_dist.wire.sockets import bind, bound_endpoint, send
+from t4nmtd_dist.wire.zmq_types import Context, Socket
 from workers.critic_service import EXPERIENCE_BYTES, CriticService
 
 SIZE, ACTIONS, LETTERS = 3, 2, 4

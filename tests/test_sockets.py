@@ -14,6 +14,7 @@ import pytest
 import zmq
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
+from routers import receive_from
 from small_tasks import small_task
 
 from coordinator.endpoints import Access
@@ -35,18 +36,8 @@ from t4nmtd_dist.wire.messages import (
     Sync,
     SyncReply,
 )
-from t4nmtd_dist.wire.sockets import (
-    Context,
-    Socket,
-    bind,
-    bound_endpoint,
-    connect,
-    new_context,
-    receive,
-    receive_from,
-    send,
-    subscribe,
-)
+from t4nmtd_dist.wire.sockets import bind, bound_endpoint, connect, receive, send, subscribe
+from t4nmtd_dist.wire.zmq_types import Context, Socket, new_context
 
 DEADLINE_S = 10.0
 FREE_PORT = "tcp://127.0.0.1:*"

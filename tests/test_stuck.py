@@ -23,7 +23,7 @@ from t4nmtd_dist.cli.status import page
 from t4nmtd_dist.launch.serial import SerialRun
 from t4nmtd_dist.method.start_states import InitialStateBuffer
 from t4nmtd_dist.wire.messages import LearnerStats
-from workers.learner_session import counted_since
+from t4nmtd_dist.wire.statistics import counted_since
 
 STUCK = LearnerStats(
     phase="training",

@@ -14,7 +14,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from t4nmtd_dist.agents.common.peer_values import InterventionCounts, PeerCritics
-from t4nmtd_dist.agents.common.rollout import Progress
 from t4nmtd_dist.agents.registry import build_learner, subtask_seed
 from t4nmtd_dist.agents.weight_checks import check_alike
 from t4nmtd_dist.automata.dfa import DFA
@@ -26,13 +25,12 @@ from t4nmtd_dist.method.compiled import CompiledTask
 from t4nmtd_dist.method.decomposition import Decomposition
 from t4nmtd_dist.method.start_states import InitialStateBuffer
 from t4nmtd_dist.wire.codec import Envelope, without_prefix
-from t4nmtd_dist.wire.limits import most_starts
 from t4nmtd_dist.wire.messages import Granted, Intervention, LearnerStats, Peer, Sync, SyncReply
+from t4nmtd_dist.wire.progress import newest_starts, pack_progress, unpack_starts
+from t4nmtd_dist.wire.statistics import counted_since
 
 RESEND_S = 2.0
 STARTS_PER_SYNC = 64
-INTERVENTION = Intervention.__struct_fields__
-ENDINGS = ("errors", "timeouts", "terminated")
 
 
 def compiled_from(granted: Granted) -> CompiledTask:
@@ -72,7 +70,7 @@ class LearnerSession:
         self.learner = build_learner(task, granted.pid, self.buffer, self.high_level, seed=seed, device=device)
         self.peers: dict[str, Peer] = {}
         self.intervention = task.config.learner.intervention
-        self.symbols = task.dfa.delta.shape[1]
+        self._dfa_states, self.symbols = task.dfa.delta.shape
         self.processor_s = 0.0  # kept by whoever has a clock
         self._tell = tell
         self.learner.attempts.tell = self._say
@@ -239,7 +237,8 @@ class LearnerSession:
         return self._all_counts()
 
     def _sync(self) -> Envelope:
-        arrays = _pack(self.learner.attempts.take_progress())
+        progress = self.learner.attempts.take_progress()
+        arrays = pack_progress(progress.changes, newest_starts(progress.starts, STARTS_PER_SYNC))
         if self.learner.version > self._sent_version:
             self._sent_version = self.learner.version
             arrays |= {f"weights.{name}": array for name, array in self.learner.weights().items()}
@@ -278,15 +277,18 @@ class LearnerSession:
         )
 
     def take_reply(self, envelope: Envelope) -> None:
-        """Take the coordinator's answer: start states, Q table, peers; answers to other sub-tasks are left alone."""
+        """Take the coordinator's answer: start states, Q table, peers; ignore answers to other sub-tasks.
+
+        Raises:
+            ProtocolError: if its start states cannot be read.
+        """
         reply = envelope.message
         if not isinstance(reply, SyncReply) or (reply.pid, reply.epoch) != (self.pid, self.epoch):
             return
         self._take_answer(reply.accepted_sequence)
         if reply.start_cursor > self._start_cursor:
             self._start_cursor = reply.start_cursor
-            starts = zip(envelope.arrays["starts.q"].tolist(), envelope.arrays["starts.state"], strict=True)
-            for q, state in starts:
+            for q, state in unpack_starts(envelope.arrays, self._dfa_states):
                 self.buffer.add(q, state)
         self.high_level.load(reply.q_table)
         self.peers = reply.peers
@@ -303,26 +305,3 @@ class LearnerSession:
 def training_of(granted: Granted) -> tuple[object, ...]:
     """All that decides what is learned under a lease: task with settings, automaton, sub-tasks, potentials, seed."""
     return granted.task, granted.dfa, granted.decomposition, granted.rho, granted.seed
-
-
-def counted_since(now: LearnerStats, before: LearnerStats) -> LearnerStats:
-    """``now`` with the counts of ``before`` taken off."""
-    counts = ("interactions", "gradient_steps", "attempts", "successes", "processor_s", *ENDINGS)
-    asked = {name: getattr(now.intervention, name) - getattr(before.intervention, name) for name in INTERVENTION}
-    less = {name: getattr(now, name) - getattr(before, name) for name in counts}
-    return msgspec.structs.replace(now, **less, intervention=Intervention(**asked))
-
-
-def _pack(progress: Progress) -> dict[str, NDArray[Any]]:
-    """Arrays of a Sync; of the start states the newest distinct ones, the oldest of them first."""
-    arrays: dict[str, NDArray[Any]] = {}
-    if progress.changes:
-        arrays["progress.q"] = np.array([(q, to, steps) for q, to, steps, _ in progress.changes], np.int32)
-        arrays["progress.reward"] = np.array([reward for *_, reward in progress.changes], np.float64)
-    newest = {(q, state.tobytes()): (q, state) for q, state in progress.starts}
-    kept = list(newest.values())
-    if kept:
-        kept = kept[-most_starts(STARTS_PER_SYNC, kept[-1][1].nbytes) :]
-        arrays["starts.q"] = np.array([q for q, _ in kept], np.int32)
-        arrays["starts.state"] = np.stack([state for _, state in kept])
-    return arrays

@@ -35,7 +35,8 @@ from t4nmtd_dist.wire.messages import (
     Role,
     SyncReply,
 )
-from t4nmtd_dist.wire.sockets import connect, new_context, receive, send
+from t4nmtd_dist.wire.sockets import connect, receive, send
+from t4nmtd_dist.wire.zmq_types import new_context
 from workers.critic_service import CriticService
 from workers.evaluation_work import EvaluationWork
 from workers.lazy_import import Loader, WaitingLease, check_trust

@@ -9,8 +9,6 @@ from t4nmtd_dist.agents.protocol import AgentActor, AgentBuilder, AgentShapes
 from t4nmtd_dist.core.errors import ConfigError
 from t4nmtd_dist.core.registry import AGENTS
 
-SETTING = "learner.algorithm"
-
 
 def shapes_module(algorithm: str) -> AgentShapes:
     """The agent's names and shapes of parameters; imports no torch.
@@ -41,6 +39,6 @@ def builder_module(algorithm: str) -> AgentBuilder:
 
 def _module(algorithm: str, part: str) -> ModuleType:
     if algorithm == "auto":
-        raise ConfigError(f'{SETTING} = "auto" is not decided yet: pass the task through prepared() first')
-    AGENTS.check(algorithm, SETTING)
+        raise ConfigError('learner.algorithm = "auto" is not decided yet: pass the task through prepared() first')
+    AGENTS.check(algorithm, "learner.algorithm")
     return AGENTS.module(algorithm, part)

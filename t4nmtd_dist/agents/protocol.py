@@ -59,9 +59,6 @@ class AgentShapes(Protocol):
         expected = shapes.parameter_shapes(config, inputs, actions)
     """
 
-    EXPLORATION: Sequence[str]
-    """Settings to try for more exploration, as ``section.key``."""
-
     def parameter_shapes(self, config: TaskConfig, inputs: int, actions: int) -> Shapes:
         """Names and shapes of all parameters of a learner, statistics of observations excepted.
 
@@ -179,12 +176,9 @@ class AgentBuilder(Protocol):
 
     The use it is meant for::
 
-        env = make_task_env(config, agent.num_envs(config))
+        env = make_task_env(config, config.agent.num_envs)
         learner = agent.build(AgentContext(..., attempts=Attempts(env, ...)))
     """
-
-    def num_envs(self, config: TaskConfig) -> int:
-        """Copies of the environment stepped together by one learner."""
 
     def build(self, context: AgentContext) -> Learner:
         """A learner.

@@ -44,7 +44,7 @@ def build_learner(
     config = task.config
     agent = builder_module(config.learner.algorithm)
     tables = _tables(task, pid)
-    env = make_task_env(config, agent.num_envs(config))
+    env = make_task_env(config, config.agent.num_envs)
     return agent.build(
         AgentContext(
             pid=pid,

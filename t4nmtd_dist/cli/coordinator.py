@@ -70,8 +70,8 @@ def _serve(command: CoordinatorCommand) -> int:
     from t4nmtd_dist.process.signals import hear_ends
     from t4nmtd_dist.runs.report import outcome_text
     from t4nmtd_dist.wire.addresses import here
-    from t4nmtd_dist.wire.sockets import new_context
     from t4nmtd_dist.wire.task_size import check_task_size
+    from t4nmtd_dist.wire.zmq_types import new_context
 
     if not command.lease > 0:
         raise ConfigError(f"--lease {command.lease}: expected seconds above 0")

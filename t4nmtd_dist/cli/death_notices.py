@@ -7,8 +7,8 @@ from contextlib import suppress
 
 from t4nmtd_dist.core.errors import ConfigError
 from t4nmtd_dist.wire.auth.keys import ClientKeys
-from t4nmtd_dist.wire.sockets import new_context
 from t4nmtd_dist.wire.status_client import give_notice
+from t4nmtd_dist.wire.zmq_types import new_context
 
 TIMEOUT_S = 2.0
 

@@ -22,13 +22,9 @@ from t4nmtd_dist.automata.formula import parse
 from t4nmtd_dist.automata.reduction import ExclusiveGroups, reduce_automaton
 from t4nmtd_dist.automata.translate import Translator, translate
 from t4nmtd_dist.cli.inspect_summary import left_out_lines, summary_lines
-from t4nmtd_dist.core.config import (
-    TaskConfig,
-    merge,
-    settings_from_flags,
-    task_config,
-)
+from t4nmtd_dist.core.config import TaskConfig, task_config
 from t4nmtd_dist.core.errors import ConfigError
+from t4nmtd_dist.core.setting_sources import merge, settings_from_flags
 from t4nmtd_dist.method.compiled import decomposed
 from t4nmtd_dist.method.decomposition import Decomposition
 from t4nmtd_dist.method.potential import DistanceMode, distances, potentials

@@ -9,8 +9,9 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from t4nmtd_dist.core.config import TaskConfig, merge, read_toml, settings_from_flags, task_config
+from t4nmtd_dist.core.config import TaskConfig, task_config
 from t4nmtd_dist.core.errors import ConfigError, RunError
+from t4nmtd_dist.core.setting_sources import merge, read_toml, settings_from_flags
 from t4nmtd_dist.environments.trust import remember_own, require_trust
 from t4nmtd_dist.runs.directory import default_run_directory
 from t4nmtd_dist.runs.event_files import check_tensorboard

@@ -132,7 +132,7 @@ def _watch(
 
     if dashboard:
         from coordinator.ui.viewer import watch
-        from t4nmtd_dist.wire.sockets import new_context
+        from t4nmtd_dist.wire.zmq_types import new_context
 
         context = new_context()
         watch(context, publish, keep_going=keep_going, keys=keys)

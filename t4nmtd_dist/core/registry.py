@@ -58,6 +58,7 @@ class Registry:
         return import_module(f"{dotted}.{part}" if part else dotted)
 
 
+# ``learner.algorithm = "auto"`` chooses the first that takes the environment's actions.
 AGENTS = Registry(
     "agent",
     {

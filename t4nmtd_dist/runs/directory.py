@@ -205,10 +205,11 @@ class RunDirectory:
         _append(self.path / EVENTS_FILE, json.dumps({**line, "text": text}) + "\n")
 
     def append_metrics(self, name: str, row: Mapping[str, Any]) -> None:
-        """Append a row to ``metrics/<name>.csv``; the first row decides the columns."""
+        """Append a row to ``metrics/<name>.csv``; the first row decides the columns, also for a resumed run."""
         path, text = self.path / "metrics" / f"{file_name(name)}.csv", io.StringIO(newline="")
-        writer = csv.DictWriter(text, fieldnames=list(row))
-        if not path.exists() or not path.stat().st_size:
+        columns = _csv_columns(path)
+        writer = csv.DictWriter(text, columns or list(row), extrasaction="ignore")
+        if not columns:
             writer.writeheader()
         writer.writerow(row)
         _append(path, text.getvalue())
@@ -224,6 +225,15 @@ class RunDirectory:
             RunError: if the run has none.
         """
         return read_summary(self.path)
+
+
+def _csv_columns(path: Path) -> list[str]:
+    """The columns that a CSV file begins with; empty without a file."""
+    try:
+        with path.open(encoding="utf-8", newline="") as file:
+            return next(csv.reader(file), [])
+    except FileNotFoundError:
+        return []
 
 
 def _locked(file: IO[bytes]) -> bool:

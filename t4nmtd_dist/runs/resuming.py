@@ -9,8 +9,9 @@ from pathlib import Path
 
 import msgspec
 
-from t4nmtd_dist.core.config import TaskConfig, merge, read_toml, task_config
+from t4nmtd_dist.core.config import TaskConfig, task_config
 from t4nmtd_dist.core.errors import ConfigError, RunError
+from t4nmtd_dist.core.setting_sources import merge, read_toml
 from t4nmtd_dist.core.state_dict import State
 from t4nmtd_dist.runs.counts import described, read_counts
 from t4nmtd_dist.runs.directory import (

@@ -9,8 +9,9 @@ from importlib.resources import files
 from pathlib import Path
 from typing import Any
 
-from t4nmtd_dist.core.config import EnvironmentConfig, TaskConfig, merge, read_toml, settings_from_flags, task_config
+from t4nmtd_dist.core.config import EnvironmentConfig, TaskConfig, task_config
 from t4nmtd_dist.core.errors import ConfigError
+from t4nmtd_dist.core.setting_sources import merge, read_toml, settings_from_flags
 
 
 def task_names() -> list[str]:

@@ -11,6 +11,7 @@ from t4nmtd_dist.agents.common.normalisation import Normalisation
 from t4nmtd_dist.agents.common.rollout import Attempts
 from t4nmtd_dist.core.config import LearnerConfig
 from t4nmtd_dist.core.devices import Device
+from t4nmtd_dist.environments.action_spaces import Bounds, action_bounds, action_count
 from t4nmtd_dist.method.compiled import CompiledTask
 from t4nmtd_dist.method.high_level import QTable
 from t4nmtd_dist.method.rewards import SubtaskTables
@@ -61,6 +62,22 @@ class AgentContext:
     def inputs(self) -> int:
         """Length of a product state, d + |Q|."""
         return self.observation_size + self.dfa_states
+
+    def action_count(self) -> int:
+        """How many discrete actions there are.
+
+        Raises:
+            EnvError: if the action space is not Discrete.
+        """
+        return action_count(self.action_space, self.task.config.environment.id, self.settings.algorithm.upper())
+
+    def action_bounds(self) -> Bounds:
+        """Lowest and highest continuous actions, float32 [A] each.
+
+        Raises:
+            EnvError: if the action space is not a Box of one dimension, of real numbers within finite bounds.
+        """
+        return action_bounds(self.action_space, self.task.config.environment.id, self.settings.algorithm.upper())
 
     def rng(self) -> np.random.Generator:
         """The learner's generator, from the seed; every call gives another in the same state."""

@@ -16,28 +16,22 @@ from t4nmtd_dist.agents.common.product_states import product_states
 from t4nmtd_dist.agents.common.published import PublishedCritic
 from t4nmtd_dist.agents.common.replay_buffer import Experience
 from t4nmtd_dist.agents.common.rollout import AttemptStep, Mask
+from t4nmtd_dist.agents.ppo.config import PPOConfig
 from t4nmtd_dist.agents.ppo.losses import bootstrap_values, generalised_advantages
 from t4nmtd_dist.agents.ppo.networks import ActorCritic, ValueCritic
 from t4nmtd_dist.agents.ppo.trajectory import Trajectory
 from t4nmtd_dist.agents.ppo.update import PPOUpdate
 from t4nmtd_dist.agents.weights import Arrays, Weights
-from t4nmtd_dist.core.config import PPOConfig, TaskConfig
 from t4nmtd_dist.core.state_dict import State
-from t4nmtd_dist.environments.action_spaces import action_count
 from t4nmtd_dist.environments.batched import Observations
 
 Floats = NDArray[np.float32]
 PATIENCE_S = 0.2  # for the answers to what was asked in the last steps of a trajectory
 
 
-def num_envs(config: TaskConfig) -> int:
-    """See ``protocol.AgentBuilder``."""
-    return config.ppo.num_envs
-
-
 def build(context: AgentContext) -> PPOLearner:
     """See ``protocol.AgentBuilder``."""
-    return PPOLearner(context, context.task.config.ppo)
+    return PPOLearner(context, context.task.config.agent)
 
 
 class PPOLearner:
@@ -212,7 +206,6 @@ class PPOLearner:
 
 
 def _initial_network(context: AgentContext) -> ActorCritic:
-    actions = action_count(context.action_space, context.task.config.environment.id)
     with torch.random.fork_rng(devices=[]):
         torch.manual_seed(context.seed)
-        return ActorCritic(context.inputs, actions, context.settings.hidden).to(context.device)
+        return ActorCritic(context.inputs, context.action_count(), context.settings.hidden).to(context.device)

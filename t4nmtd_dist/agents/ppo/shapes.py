@@ -7,8 +7,6 @@ from collections.abc import Sequence
 from t4nmtd_dist.agents.weights import Shapes, mlp_shapes
 from t4nmtd_dist.core.config import TaskConfig
 
-EXPLORATION = ("ppo.entropy_coefficient",)
-
 
 def parameter_shapes(config: TaskConfig, inputs: int, actions: int) -> Shapes:
     """See ``protocol.AgentShapes``."""

@@ -11,10 +11,10 @@ from numpy.typing import NDArray
 from torch import Tensor, nn
 
 from t4nmtd_dist.agents.common.flat_adam import FlatAdam
+from t4nmtd_dist.agents.ppo.config import PPOConfig
 from t4nmtd_dist.agents.ppo.losses import clipped_surrogate, entropy_of, value_loss
 from t4nmtd_dist.agents.ppo.networks import ActorCritic
 from t4nmtd_dist.agents.ppo.trajectory import Trajectory
-from t4nmtd_dist.core.config import PPOConfig
 
 Floats = NDArray[np.float32]
 

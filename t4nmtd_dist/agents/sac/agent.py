@@ -14,27 +14,22 @@ from t4nmtd_dist.agents.common.context import AgentContext
 from t4nmtd_dist.agents.common.exploration import HeldActionExploration, SinusoidExploration
 from t4nmtd_dist.agents.common.off_policy import OffPolicyLearner
 from t4nmtd_dist.agents.common.peer_values import PeerValues, Values
+from t4nmtd_dist.agents.sac.config import SACConfig
 from t4nmtd_dist.agents.sac.fast_cpu.update import SACUpdater
 from t4nmtd_dist.agents.sac.soft_critic import SoftCritic
 from t4nmtd_dist.agents.sac.torch_update import TorchSACUpdater
 from t4nmtd_dist.agents.sac.updater import PeerSoftValues, SACSettings, SoftActorCritic
 from t4nmtd_dist.agents.weights import Arrays, Weights
-from t4nmtd_dist.core.config import LearnerConfig, SACConfig, TaskConfig
+from t4nmtd_dist.core.config import LearnerConfig
 from t4nmtd_dist.core.state_dict import State
-from t4nmtd_dist.environments.action_spaces import action_bounds
 from t4nmtd_dist.method.rewards import TARGET_REWARD
 
 Floats = NDArray[np.float32]
 
 
-def num_envs(config: TaskConfig) -> int:
-    """See ``protocol.AgentBuilder``."""
-    return config.sac.num_envs
-
-
 def build(context: AgentContext) -> OffPolicyLearner:
     """See ``protocol.AgentBuilder``."""
-    config, rng = context.task.config.sac, context.rng()
+    config, rng = context.task.config.agent, context.rng()
     return OffPolicyLearner(context, config, SAC(context, config, rng), rng)
 
 
@@ -72,7 +67,7 @@ class SAC:
 
     def __init__(self, context: AgentContext, config: SACConfig, rng: np.random.Generator) -> None:
         self._config, self._inputs = config, context.inputs
-        self._low, self._high = action_bounds(context.action_space, context.task.config.environment.id)
+        self._low, self._high = context.action_bounds()
         self.action_size = len(self._low)
         count = len(context.attempts.observations)
         self._waves = SinusoidExploration(count, self.action_size, config.wave_share, rng)
