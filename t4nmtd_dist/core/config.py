@@ -92,6 +92,9 @@ class LearnerConfig:
     """What all learners share.
 
     Attributes:
+        method: how the task is decomposed and its sub-tasks are joined, a name in ``core.registry.METHODS``:
+            ``t4nmtd``, or ``random``, which deals the same transitions to as many sub-tasks from the run's seed
+            (experiment 2).
         algorithm: ``ppo`` (discrete actions), ``sac`` (continuous actions), or ``auto``: by the action space.
         gamma: discount per step, also the one inside the shaped reward.
         shaping: ``potential`` (potential difference on every step), ``paper`` (only when a target is reached),
@@ -111,6 +114,7 @@ class LearnerConfig:
             (``environments.decisions``), it counts as ``off``.
     """
 
+    method: str = "t4nmtd"
     algorithm: Literal["auto", "ppo", "sac"] = "auto"
     gamma: float = 0.99
     shaping: Shaping = "potential"

@@ -6,6 +6,7 @@ from functools import reduce
 from typing import TYPE_CHECKING, Any
 
 from t4nmtd_dist.core.errors import ConfigError
+from t4nmtd_dist.core.registry import METHODS
 
 if TYPE_CHECKING:
     from t4nmtd_dist.core.config import SACConfig, TaskConfig
@@ -71,6 +72,7 @@ def check_ranges(task: TaskConfig) -> None:
             raise ConfigError(f"{key} = {_value(task, key)}: expected a number from 0 to 1")
     if not 0 < task.evaluation.success <= 1:
         raise ConfigError(f"evaluation.success = {task.evaluation.success}: expected a number above 0 and at most 1")
+    METHODS.check(task.learner.method, "learner.method")
     _check_hidden(task.learner.hidden)
     _check_replay(task.sac)
     _check_groups(task)
