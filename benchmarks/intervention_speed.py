@@ -226,7 +226,7 @@ def serve(folder: Path, flags: Sequence[str]) -> None:
             entries.append((q, pid, 1.0))
             for start in scripted_starts(pid):
                 state.records[pid].buffer.add(q, start)
-    state.high_level.load(entries)
+    state.method.load(entries)
     CoordinatorService(state, run, Access(LOOPBACK, LOOPBACK, None, False), restart=False).serve()
 
 

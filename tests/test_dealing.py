@@ -63,7 +63,7 @@ def test_peers_in_one_worker_are_called_directly() -> None:
     learners = {pid: small_learner(pid) for pid in ("g", "p1")}
     critics = {pid: learner.critic_values for pid, learner in learners.items()}
     peers, pids = LocalPeers(critics), ("g", "p1", "p9") * 3
-    size = learners["g"].attempts.observations.shape[1]
+    size = learners["g"].rollout.observations.shape[1]
     observations = np.random.default_rng(0).normal(size=(9, size)).astype(np.float32)
     peers.ask(1, Questions(np.arange(9), pids, observations, np.zeros(9, np.int32)))
     peers.ask(2, Questions(np.array([4]), ("g",), observations[:1], np.zeros(1, np.int32)))

@@ -333,7 +333,7 @@ class Worker:
             session = lease.learn(self._options.device, say)
             if self._keeper is not None:
                 self._keeper.go_on(session, lease.granted, lease.arrays)
-            session.learner.attempts.pulse = self._keep_leases
+            session.learner.rollout.pulse = self._keep_leases
             self._sessions[pid] = session
             self._neighbours.join(session)
             self._critics.serve(pid, session.learner.published, session.learner.experience)

@@ -70,6 +70,7 @@ AGENTS = Registry(
 METHODS = Registry(
     "method",
     {
+        "random": "t4nmtd_dist.method.random_decomposition",
         "t4nmtd": "t4nmtd_dist.method.t4nmtd",
     },
 )
