@@ -24,6 +24,7 @@ from small_tasks import (
 )
 
 from t4nmtd_dist.agents.common.peer_values import NoPeers
+from t4nmtd_dist.agents.common.replay_buffer import Experience
 from t4nmtd_dist.agents.common.rollout import Rollout, RolloutStep
 from t4nmtd_dist.method.protocol import NO_TARGET
 
@@ -187,3 +188,26 @@ def test_what_is_told_adds_up(actions: list[list[int]]) -> None:
     assert sum(steps for _, _, steps, _ in progress.changes) <= rollout.interactions
     assert len(progress.starts) == rollout.statistics.successes
     assert rollout.take_progress().changes == []
+
+
+@settings(max_examples=20)
+@given(st.lists(st.lists(st.integers(0, 5), min_size=WORLDS, max_size=WORLDS), min_size=1, max_size=40))
+@pytest.mark.parametrize("shaping", ["paper", "potential", "subtask"])
+def test_a_step_pays_the_same_when_it_is_made_and_when_it_is_replayed(shaping: str, actions: list[list[int]]) -> None:
+    flags = (f"learner.shaping={shaping}", "learner.error_penalty=3.0")
+    learner = small_learner("p2", *flags, starts=((START, snapshot_after(*TO_PASSENGER_2)),))
+    rollout, tables = learner.rollout, learner.method.role("p2").tables
+    rollout.begin()
+    replay = Experience(len(actions), WORLDS, rollout.observations.shape[1], 1)
+    steps = []
+    for row in actions:
+        observations, q = rollout.observations.copy(), rollout.q.copy()
+        step = rollout.step(np.array(row))
+        taken = np.array(row, np.float32)[:, None]
+        ends = (step.terminated, step.ended, step.reached)
+        replay.add(observations, q, taken, step.symbols, step.next_observations, *ends)
+        steps.append(step)
+    rows = np.arange(len(replay))
+    found = replay.returns(rows, replay.q, tables, small_task().dfa.delta, 0.9, 1)
+    assert found.reward.tolist() == np.concatenate([step.reward for step in steps]).tolist()
+    assert (found.discount == 0).tolist() == np.concatenate([step.terminal for step in steps]).tolist()
