@@ -185,6 +185,7 @@ class TaskConfig:
 
     def __post_init__(self) -> None:
         check_ranges(self)
+        METHODS.check(self.learner.method, "learner.method")
         check_algorithm(self.learner.algorithm)
         METHODS.check(self.learner.method, "learner.method")
         for name, section in self.agents.items():
