@@ -79,6 +79,6 @@ LAUNCHERS = Registry(
     "launcher",
     {
         "local": "t4nmtd_dist.launch.local",
-        "serial": "t4nmtd_dist.launch.serial",
+        "serial": "t4nmtd_dist.launch.serial_launcher",
     },
 )
