@@ -59,7 +59,7 @@ def small_sac(
     task, buffer = small_sac_task(*flags, name=name), InitialStateBuffer(100)
     for q, state in starts:
         buffer.add(q, state)
-    learner = build_learner(task, pid, buffer, task.q_table(), seed=seed)
+    learner = build_learner(task, pid, buffer, task.method(), seed=seed)
     assert isinstance(learner, OffPolicyLearner)
     assert isinstance(learner.agent, SAC)
     return learner

@@ -63,7 +63,7 @@ def test_an_undecided_algorithm_is_refused(module_of: Callable[[str], object]) -
 def test_the_weights_of_a_learner_are_those_that_the_coordinator_expects(name: str) -> None:
     task, weights = TASKS[name](), trained(name).weights()
     sizes = check_weights(weights, task.config, task.dfa.states)
-    assert sizes.observation == trained(name).attempts.observations.shape[1]
+    assert sizes.observation == trained(name).rollout.observations.shape[1]
     shapes = {name: array.shape for name, array in weights.items()}
     assert expected_shapes(task.config, task.dfa.states, sizes) == shapes
 
@@ -102,5 +102,5 @@ def test_a_replica_answers_from_the_published_weights(name: str) -> None:
     assert version == learner.version
     for key, array in learner.published.weights()[0].items():
         assert np.array_equal(weights[key], array), key
-    request = {"observation": learner.attempts.observations[:2], "q": learner.attempts.q[:2]}
+    request = {"observation": learner.rollout.observations[:2], "q": learner.rollout.q[:2]}
     assert replica.values(request)[0].shape == (2, *learner.value_shape)

@@ -107,7 +107,7 @@ def test_ppo_learns_the_same_on_another_device(device: Device) -> None:
     for place in ("cpu", device):
         buffer = InitialStateBuffer(10)
         buffer.add(START, start)
-        learners.append(build_learner(task, "p2", buffer, task.q_table(), seed=0, device=place))
+        learners.append(build_learner(task, "p2", buffer, task.method(), seed=0, device=place))
         for _ in range(2):
             learners[-1].iterate(NoPeers())
     here, there = learners

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from t4nmtd_dist.agents.common.context import AgentContext
 from t4nmtd_dist.agents.common.peer_values import PeerCritics, Values
 from t4nmtd_dist.agents.common.replay_buffer import Experience
-from t4nmtd_dist.agents.common.rollout import Attempts
+from t4nmtd_dist.agents.common.rollout import Rollout
 from t4nmtd_dist.agents.weights import Shapes, Weights
 from t4nmtd_dist.core.config import TaskConfig
 from t4nmtd_dist.core.state_dict import State
@@ -113,11 +113,11 @@ class Learner(Protocol):
         while True:
             if not learner.iterate(peers):
                 wait_for_start_states()
-            tell(learner.attempts.take_progress(), learner.weights(), learner.version)
+            tell(learner.rollout.take_progress(), learner.weights(), learner.version)
     """
 
     pid: str
-    attempts: Attempts
+    rollout: Rollout
     version: int
     gradient_steps: int
     value_shape: tuple[int, ...]
@@ -177,7 +177,7 @@ class AgentBuilder(Protocol):
     The use it is meant for::
 
         env = make_task_env(config, config.agent.num_envs)
-        learner = agent.build(AgentContext(..., attempts=Attempts(env, ...)))
+        learner = agent.build(AgentContext(..., rollout=Rollout(env, ...)))
     """
 
     def build(self, context: AgentContext) -> Learner:

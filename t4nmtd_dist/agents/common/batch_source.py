@@ -14,7 +14,8 @@ from t4nmtd_dist.agents.common.peer_success_replay import ChanceFinds, target_sy
 from t4nmtd_dist.agents.common.peer_values import RowNumbers
 from t4nmtd_dist.agents.common.relabelling import ExperienceReader, Reading
 from t4nmtd_dist.agents.common.replay_buffer import Experience
-from t4nmtd_dist.method.high_level import QTable
+from t4nmtd_dist.agents.common.successors import draw_successors
+from t4nmtd_dist.method.protocol import Method
 
 States = NDArray[np.int32]
 
@@ -27,13 +28,14 @@ class BatchSource:
         experience: the learner's own.
         reader: reads experience for the sub-task.
         config: shares of a batch.
-        high_level: the learner's copy of the coordinator's Q table, for E(Q, q').
+        method: says which rows are read in which DFA states, and whose value they bootstrap from.
         rng: the learner's generator.
 
     Attributes:
         others: the experience of peers by pid; it may hold the own.
         reader: as given.
-        high_level: as given.
+        method: as given.
+        reads_peers: whether peers' experience is of use.
     """
 
     def __init__(
@@ -42,18 +44,20 @@ class BatchSource:
         experience: Experience,
         reader: ExperienceReader,
         config: OffPolicyConfig,
-        high_level: QTable,
+        method: Method,
         rng: np.random.Generator,
     ) -> None:
-        self._pid, self._experience, self.high_level, self._rng = pid, experience, high_level, rng
+        self._pid, self._experience, self.method, self._rng = pid, experience, method, rng
         self.reader, self._config = reader, config
-        self._readable = np.flatnonzero(reader.tables.available).astype(np.int32)
+        reading = method.reads(pid)
+        self._readable = reading.q
+        self.reads_peers = reading.rows == "all" and config.peer_share > 0
         self._finds = WeakKeyDictionary[Experience, ChanceFinds]()
         self.others: Mapping[str, Experience] = {}
 
     def peers_experience(self) -> list[Experience]:
         """What is not empty, and there is use for."""
-        if not self._config.peer_share:
+        if not self.reads_peers:
             return []
         return [experience for pid, experience in self.others.items() if pid != self._pid and len(experience)]
 
@@ -72,7 +76,8 @@ class BatchSource:
         if peers_rows:
             parts.append(self._peers_rows(others, peers_rows, success))
         read = Reading.joined(parts)
-        asked_rows, asked_pids = self._successors(read)
+        successors = draw_successors(self.method, self._pid, read.boundary, read.q_next, self._rng)
+        read.discounts[successors.without_value] = 0.0
         return DrawnBatch(
             number=number,
             states=read.states,
@@ -80,9 +85,9 @@ class BatchSource:
             rewards=read.rewards,
             discounts=read.discounts,
             next_states=read.next_states,
-            asked_rows=asked_rows,
-            asked_pids=asked_pids,
-            asked_q=read.q_next[asked_rows],
+            asked_rows=successors.rows,
+            asked_pids=successors.pids,
+            asked_q=read.q_next[successors.rows],
         )
 
     def _own_rows(self, size: int) -> Reading:
@@ -116,10 +121,3 @@ class BatchSource:
 
     def _any_state(self, size: int) -> States:
         return self._readable[self._rng.integers(len(self._readable), size=size)]
-
-    def _successors(self, read: Reading) -> tuple[RowNumbers, tuple[str, ...]]:
-        """The rows that hand over to another sub-task, and to which: T' ~ E(Q, q')."""
-        boundary = np.flatnonzero(read.boundary)
-        pids = [self.high_level.choose(q, self._rng) for q in read.q_next[boundary].tolist()]
-        others = [place for place, pid in enumerate(pids) if pid is not None and pid != self._pid]
-        return boundary[others], tuple(str(pids[place]) for place in others)

@@ -8,13 +8,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from t4nmtd_dist.agents.common.normalisation import Normalisation
-from t4nmtd_dist.agents.common.rollout import Attempts
+from t4nmtd_dist.agents.common.rollout import Rollout
 from t4nmtd_dist.core.config import LearnerConfig
 from t4nmtd_dist.core.devices import Device
 from t4nmtd_dist.environments.action_spaces import Bounds, action_bounds, action_count
 from t4nmtd_dist.method.compiled import CompiledTask
-from t4nmtd_dist.method.high_level import QTable
-from t4nmtd_dist.method.rewards import SubtaskTables
+from t4nmtd_dist.method.protocol import Method
 
 
 @dataclass(frozen=True)
@@ -24,21 +23,19 @@ class AgentContext:
     Attributes:
         pid: the sub-task.
         task: the compiled task: settings, DFA and all sub-tasks.
-        tables: of the sub-task, to read experience for any of its DFA states.
-        attempts: N copies of the environment within attempts at the sub-task.
+        rollout: N copies of the environment within attempts at the sub-task.
         action_space: of the environment.
-        high_level: the learner's copy of the coordinator's Q table, for E(Q, q').
+        method: the learner's copy of the method, whose upper level the coordinator keeps up to date.
         seed: of networks and sampling.
-        device: where the networks are trained; attempts and answers to peers stay on the CPU.
+        device: where the networks are trained; rollout and answers to peers stay on the CPU.
         normalised: which numbers of an observation are normalised, bool [d].
     """
 
     pid: str
     task: CompiledTask
-    tables: SubtaskTables
-    attempts: Attempts
+    rollout: Rollout
     action_space: object
-    high_level: QTable
+    method: Method
     seed: int
     device: Device
     normalised: NDArray[np.bool_]

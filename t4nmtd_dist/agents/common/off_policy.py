@@ -109,17 +109,16 @@ class OffPolicyLearner:
     def __init__(
         self, context: AgentContext, config: OffPolicyConfig, agent: OffPolicyAgent, rng: np.random.Generator
     ) -> None:
-        self.pid, self.attempts, self.agent = context.pid, context.attempts, agent
+        self.pid, self.rollout, self.agent = context.pid, context.rollout, agent
         self._context, self._config, self._rng = context, config, rng
         self._normalisation = context.normalisation()
-        count = len(self.attempts.observations)
+        count = len(self.rollout.observations)
         self.experience = Experience(config.replay_rows // count, count, context.observation_size, agent.action_size)
-        self.peer_steps = self._steps_of_each_peer()
         settings = context.settings
-        reader = ExperienceReader(
-            context.tables, context.task.dfa.delta, settings.gamma, settings.reward_scale, config.n_step
-        )
-        self.batches = BatchSource(self.pid, self.experience, reader, config, context.high_level, rng)
+        tables = context.method.role(self.pid).tables
+        reader = ExperienceReader(tables, context.task.dfa.delta, settings.gamma, settings.reward_scale, config.n_step)
+        self.batches = BatchSource(self.pid, self.experience, reader, config, context.method, rng)
+        self.peer_steps = self._steps_of_each_peer()
         self._ahead = BatchesAhead(context.observation_size)
         self._begun = np.ones(count, np.bool_)
         self._owed = 0.0  # updates
@@ -131,11 +130,11 @@ class OffPolicyLearner:
     def _steps_of_each_peer(self) -> int:
         """Of all peers together as many as the own replay holds."""
         peers = len(self._context.task.decomposition.pids) - 1
-        return max(1, self.experience.steps // max(1, peers)) if self._config.peer_share else 0
+        return max(1, self.experience.steps // max(1, peers)) if self.batches.reads_peers else 0
 
     def iterate(self, peers: PeerCritics) -> bool:
         """Some steps of all copies and the updates that they call for; False while there is no state to start from."""
-        if not self.attempts.begin():
+        if not self.rollout.begin():
             return False
         for _ in range(self._config.steps_per_iteration):
             self._step()
@@ -148,11 +147,11 @@ class OffPolicyLearner:
         return True
 
     def _step(self) -> None:
-        attempts = self.attempts
-        observations, q = attempts.observations.copy(), attempts.q.copy()
+        rollout = self.rollout
+        observations, q = rollout.observations.copy(), rollout.q.copy()
         self._normalisation.update(observations)
         actions = self.agent.act(self._states(observations, q), self._begun, self._success())
-        step = attempts.step(self.agent.environment_actions(actions))
+        step = rollout.step(self.agent.environment_actions(actions))
         self.experience.add(
             observations, q, actions, step.symbols, step.next_observations, step.terminated, step.ended, step.reached
         )
@@ -168,7 +167,7 @@ class OffPolicyLearner:
 
     def _success(self) -> float:
         """Share of the recent attempts that succeeded; 0 before there are any."""
-        return self.attempts.recent_success or 0.0
+        return self.rollout.statistics.recent_success or 0.0
 
     def _states(self, observations: Observations, q: States) -> Floats:
         """Product states, with observations normalised."""
@@ -214,7 +213,7 @@ class OffPolicyLearner:
             "agent": self.agent.state_dict(),
             "normalisation": self._normalisation.weights(),
             "experience": self.experience.state_dict(),
-            "attempts": self.attempts.state_dict(),
+            "attempts": self.rollout.state_dict(),
             "rng": self._rng.bit_generator.state,
             "owed": self._owed,
             "ahead": self._ahead.state_dict(),
@@ -228,7 +227,7 @@ class OffPolicyLearner:
         self.experience.load(state["experience"])
         self._normalisation.load(state["normalisation"])
         self.agent.load_state_dict(state["agent"])
-        self.attempts.load_state_dict(state["attempts"])
+        self.rollout.load_state_dict(state["attempts"])
         self._rng.bit_generator.state = state["rng"]
         self._owed, self._begun[:] = state["owed"], state["begun"]
         self.gradient_steps, self.version = state["gradient_steps"], state["version"]

@@ -15,7 +15,8 @@ from t4nmtd_dist.agents.common.peer_values import PeerCritics, Questions, Values
 from t4nmtd_dist.agents.common.product_states import product_states
 from t4nmtd_dist.agents.common.published import PublishedCritic
 from t4nmtd_dist.agents.common.replay_buffer import Experience
-from t4nmtd_dist.agents.common.rollout import AttemptStep, Mask
+from t4nmtd_dist.agents.common.rollout import RolloutStep
+from t4nmtd_dist.agents.common.successors import draw_successors
 from t4nmtd_dist.agents.ppo.config import PPOConfig
 from t4nmtd_dist.agents.ppo.losses import bootstrap_values, generalised_advantages
 from t4nmtd_dist.agents.ppo.networks import ActorCritic, ValueCritic
@@ -24,6 +25,7 @@ from t4nmtd_dist.agents.ppo.update import PPOUpdate
 from t4nmtd_dist.agents.weights import Arrays, Weights
 from t4nmtd_dist.core.state_dict import State
 from t4nmtd_dist.environments.batched import Observations
+from t4nmtd_dist.method.protocol import Mask
 
 Floats = NDArray[np.float32]
 PATIENCE_S = 0.2  # for the answers to what was asked in the last steps of a trajectory
@@ -51,18 +53,18 @@ class PPOLearner:
     peer_steps = peer_rows = 0
 
     def __init__(self, context: AgentContext, config: PPOConfig) -> None:
-        self.pid, self.attempts, self.high_level = context.pid, context.attempts, context.high_level
+        self.pid, self.rollout, self.method = context.pid, context.rollout, context.method
         self._context, self._config, self._rng = context, config, context.rng()
         self._normalisation = context.normalisation()
         self.network = _initial_network(context)
         self._update = PPOUpdate(self.network, config, context.device, self._rng, self._pulse)
-        count = len(self.attempts.observations)
+        count = len(self.rollout.observations)
         self.trajectory = Trajectory.empty(config.rollout, count, context.inputs, context.observation_size)
         self.published = self.replica()
         self.version = 0
 
     def _pulse(self) -> None:
-        self.attempts.pulse()  # looked up anew: the worker may replace it at any time
+        self.rollout.pulse()  # looked up anew: the worker may replace it at any time
 
     @property
     def gradient_steps(self) -> int:
@@ -71,7 +73,7 @@ class PPOLearner:
 
     def iterate(self, peers: PeerCritics) -> bool:
         """Collect one trajectory and learn from it; False while there is no state to start from."""
-        if not self.attempts.begin():
+        if not self.rollout.begin():
             return False
         self.collect(peers)
         self.learn(peers)
@@ -80,13 +82,13 @@ class PPOLearner:
     @torch.no_grad()
     def collect(self, peers: PeerCritics) -> None:
         """Fill the trajectory; peers are asked about boundaries as they are crossed."""
-        trajectory, attempts = self.trajectory, self.attempts
+        trajectory, rollout = self.trajectory, self.rollout
         for t in range(self._config.rollout):
-            self._normalisation.update(attempts.observations)
-            states = self._states(attempts.observations, attempts.q)
+            self._normalisation.update(rollout.observations)
+            states = self._states(rollout.observations, rollout.q)
             trajectory.states[t] = states.numpy()
             trajectory.actions[t], trajectory.log_probs[t] = self._act(states)
-            step = attempts.step(trajectory.actions[t])
+            step = rollout.step(trajectory.actions[t])
             self._store(t, step)
             self._ask(t, step.changed & ~step.terminal, peers)
 
@@ -96,7 +98,7 @@ class PPOLearner:
         actions = np.argmax(log_probs + self._rng.gumbel(size=log_probs.shape), axis=1)
         return actions, log_probs[np.arange(len(actions)), actions]
 
-    def _store(self, t: int, step: AttemptStep) -> None:
+    def _store(self, t: int, step: RolloutStep) -> None:
         trajectory = self.trajectory
         trajectory.rewards[t] = step.reward * self._context.settings.reward_scale
         trajectory.terminal[t] = step.terminal
@@ -107,15 +109,13 @@ class PPOLearner:
 
     def _ask(self, t: int, crossed: Mask, peers: PeerCritics) -> None:
         trajectory = self.trajectory
-        successors = {
-            n: self.high_level.choose(int(trajectory.boundary_q[t, n]), self._rng) for n in np.flatnonzero(crossed)
-        }
-        others = {n: pid for n, pid in successors.items() if pid is not None and pid != self.pid}
-        if others:
-            copies = np.array(list(others), np.int64)
+        successors = draw_successors(self.method, self.pid, crossed, trajectory.boundary_q[t], self._rng)
+        trajectory.terminal[t, successors.without_value] = True
+        copies = successors.rows
+        if len(copies):
             rows = t * trajectory.rewards.shape[1] + copies
             observations, q = trajectory.boundary_observations[t, copies], trajectory.boundary_q[t, copies]
-            peers.ask(self.version, Questions(rows, tuple(others.values()), observations, q))
+            peers.ask(self.version, Questions(rows, successors.pids, observations, q))
 
     def learn(self, peers: PeerCritics) -> None:
         """Advantages and PPO's epochs over the trajectory."""
@@ -136,8 +136,8 @@ class PPOLearner:
     @torch.no_grad()
     def bootstrap(self, peers: PeerCritics) -> tuple[Floats, Floats]:
         """V(s_t) and the bootstrap values of s_{t+1}, float32 [T, N] each."""
-        trajectory, attempts = self.trajectory, self.attempts
-        last = self._states(attempts.observations, attempts.q)
+        trajectory, rollout = self.trajectory, self.rollout
+        last = self._states(rollout.observations, rollout.q)
         flat = torch.from_numpy(trajectory.states.reshape(-1, trajectory.states.shape[-1]))
         own = self.network.value(torch.cat([flat, last]).to(self._context.device)).cpu().numpy()
         values = own[: len(flat)].reshape(trajectory.rewards.shape)
@@ -148,7 +148,7 @@ class PPOLearner:
 
     def _entropy_coefficient(self) -> float:
         """Exploration gives way to exploitation as attempts succeed: linear between the two settings."""
-        success = self.attempts.recent_success or 0.0
+        success = self.rollout.statistics.recent_success or 0.0
         low, high = self._config.entropy_coefficient_successful, self._config.entropy_coefficient
         return high + (low - high) * success
 
@@ -192,7 +192,7 @@ class PPOLearner:
         return {
             "weights": self.weights(),
             "update": self._update.state_dict(),
-            "attempts": self.attempts.state_dict(),
+            "attempts": self.rollout.state_dict(),
             "rng": self._rng.bit_generator.state,
             "version": self.version,
         }
@@ -201,7 +201,7 @@ class PPOLearner:
         """See ``Learner.load_state_dict``."""
         self.load(state["weights"], state["version"])
         self._update.load_state_dict(state["update"])
-        self.attempts.load_state_dict(state["attempts"])
+        self.rollout.load_state_dict(state["attempts"])
         self._rng.bit_generator.state = state["rng"]
 
 

@@ -69,7 +69,7 @@ class SAC:
         self._config, self._inputs = config, context.inputs
         self._low, self._high = context.action_bounds()
         self.action_size = len(self._low)
-        count = len(context.attempts.observations)
+        count = len(context.rollout.observations)
         self._waves = SinusoidExploration(count, self.action_size, config.wave_share, rng)
         self._holds = HeldActionExploration(count, self.action_size, config.hold_share, rng)
         self._initial_alpha = config.initial_alpha or modest_alpha(context.settings, self.action_size)
