@@ -26,11 +26,11 @@ from small_sac import (
 )
 
 from t4nmtd_dist.agents.common.attempt_statistics import AttemptStatistics
-from t4nmtd_dist.agents.common.peer_values import NoPeers, PeerCritics
-from t4nmtd_dist.agents.common.replay_buffer import Returns
+from t4nmtd_dist.agents.common.batches import Batch
 from t4nmtd_dist.agents.common.batches_ahead import BATCHES_AHEAD
 from t4nmtd_dist.agents.common.off_policy import OffPolicyLearner
-from t4nmtd_dist.agents.common.batches import Batch
+from t4nmtd_dist.agents.common.peer_values import NoPeers, PeerCritics
+from t4nmtd_dist.agents.common.replay_buffer import Returns
 from t4nmtd_dist.agents.sac.updater import PeerSoftValues
 
 # Acting and counting
