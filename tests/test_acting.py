@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from small_sac import small_sac, small_sac_task
 from small_tasks import CARRYING_2, START, small_learner, small_task
 
-from t4nmtd_dist.agents.sac import networks as sac_networks
+from t4nmtd_dist.agents.sac.fast_cpu import forward
 from t4nmtd_dist.core.errors import PolicyError
 from t4nmtd_dist.policy.export import POLICY_FILE, export_policy
 from t4nmtd_dist.policy.global_policy import GlobalPolicy, load
@@ -154,13 +154,13 @@ def test_a_categorical_acts_on_one_thread_and_the_users_setting_survives() -> No
 
 @pytest.mark.usefixtures("three_threads")
 def test_a_gaussian_acts_on_one_thread_and_the_users_setting_survives(monkeypatch: pytest.MonkeyPatch) -> None:
-    policy, seen, multiply_add = car_policy(), list[int](), sac_networks.multiply_add
+    policy, seen, multiply_add = car_policy(), list[int](), forward.multiply_add
 
     def watched(*arguments: Any) -> None:
         seen.append(torch.get_num_threads())
         multiply_add(*arguments)
 
-    monkeypatch.setattr(sac_networks, "multiply_add", watched)
+    monkeypatch.setattr(forward, "multiply_add", watched)
     policy.act(car_observation(), ())
     assert set(seen) == {1}
     assert torch.get_num_threads() == 3

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from safetensors.numpy import load_file, save_file
 from small_tasks import ACCEPTING, CARRYING_2, ERROR, PICK, START, TO_GOAL, TO_PASSENGER_2, small_learner, small_task
 
-from t4nmtd_dist.agents.common.networks import product_state
+from t4nmtd_dist.agents.common.product_states import product_states
 from t4nmtd_dist.agents.ppo.agent import PPOLearner
 from t4nmtd_dist.core.errors import PolicyError
 from t4nmtd_dist.policy.export import ACTORS_FILE, POLICY_FILE, export_policy
@@ -63,7 +63,7 @@ def test_a_loaded_policy_acts_as_the_live_actors(
     for row, state in enumerate(q):
         live = learners[policy.subtask_of[state]].network.actor
         with torch.no_grad():
-            expected.append(int(live(product_state(observations[[row]], states[[row]], 6)).argmax()))
+            expected.append(int(live(torch.from_numpy(product_states(observations[[row]], states[[row]], 6))).argmax()))
     assert policy.actions(observations, states)[0].tolist() == expected
 
 
@@ -153,7 +153,7 @@ def test_any_number_of_layers_comes_back(hidden: str, tmp_path: Path) -> None:
     export_policy(tmp_path / "policy", task, Q_TABLE, {"p2": learner.weights()}, {})
     observations, q = np.ones((1, 83), np.float32), np.zeros(1, np.int32)
     with torch.no_grad():
-        expected = int(learner.network.actor(product_state(observations, q, 6)).argmax())
+        expected = int(learner.network.actor(torch.from_numpy(product_states(observations, q, 6))).argmax())
     assert load(tmp_path / "policy").actions(observations, q)[0].tolist() == [expected]
 
 

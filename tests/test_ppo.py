@@ -21,7 +21,8 @@ from t4nmtd_dist.agents.common.peer_values import (
     PeerValues,
     Questions,
 )
-from t4nmtd_dist.agents.ppo.agent import PPOLearner, generalised_advantages
+from t4nmtd_dist.agents.ppo.agent import PPOLearner
+from t4nmtd_dist.agents.ppo.losses import generalised_advantages
 
 Floats = NDArray[np.float32]
 
@@ -117,8 +118,7 @@ def collected(learner: PPOLearner, peers: PeerCritics) -> tuple[Floats, Floats]:
     """Values and bootstrap values, flat, of one roll-out."""
     assert learner.rollout.begin()
     learner.collect(peers)
-    with torch.no_grad():
-        values, next_values = learner._bootstrap(peers)
+    values, next_values = learner.bootstrap(peers)
     return values, next_values.reshape(-1)
 
 
@@ -153,7 +153,7 @@ def test_rows_without_an_answer_use_the_own_critic(half: bool) -> None:
     learner, others = crossing_learner()
     asked = HalfOfThem(RecordingPeers(others))
     values, next_values = collected(learner, asked if half else NoPeers())
-    trajectory = learner._trajectory
+    trajectory = learner.trajectory
     boundary, terminal = trajectory.boundary.reshape(-1), trajectory.terminal.reshape(-1)
     observations = trajectory.boundary_observations.reshape(len(boundary), -1)
     own = [row for row in np.flatnonzero(boundary) if not (half and row in asked.answered)]
@@ -169,7 +169,7 @@ def test_rows_without_an_answer_use_the_own_critic(half: bool) -> None:
 def test_acceptance_and_holes_are_worth_nothing_and_a_time_out_is_not_terminal() -> None:
     learner = small_learner("g", "learner.attempt_steps=5", starts=((CARRYING_2, BESIDE_GOAL),))
     _, next_values = collected(learner, NoPeers())
-    trajectory = learner._trajectory
+    trajectory = learner.trajectory
     terminal = trajectory.terminal.reshape(-1)
     assert terminal.any()
     assert (next_values[terminal] == 0).all()
@@ -182,7 +182,7 @@ def test_nobody_is_asked_about_terminals_or_inside_a_subtask() -> None:
     learner, others = crossing_learner()
     peers = RecordingPeers(others)
     collected(learner, peers)
-    trajectory = learner._trajectory
+    trajectory = learner.trajectory
     for row, _, observation, q in peers.questions:
         t, n = divmod(row, trajectory.rewards.shape[1])
         assert trajectory.boundary[t, n]

@@ -17,11 +17,12 @@ from small_sac import AT_G1, PIDS, START, TO_G2, TO_G3, TO_G4, averaged, product
 
 from coordinator.snapshot import summary
 from coordinator.state import RunSettings
-from t4nmtd_dist.agents.actors import GaussianActor, scaled
-from t4nmtd_dist.agents.common.networks import product_state
+from t4nmtd_dist.agents.common import product_states as networks_states
+from t4nmtd_dist.agents.common.action_bounds import scaled
+from t4nmtd_dist.agents.common.off_policy import OffPolicyLearner
 from t4nmtd_dist.agents.common.peer_values import NoPeers
 from t4nmtd_dist.agents.registry import build_learner
-from t4nmtd_dist.agents.sac.agent import SACLearner
+from t4nmtd_dist.agents.sac.actor import GaussianActor
 from t4nmtd_dist.agents.weights import part_of
 from t4nmtd_dist.cli.check import check
 from t4nmtd_dist.core.errors import ConfigError, EnvError, PolicyError, ProtocolError
@@ -110,7 +111,7 @@ def test_interactions_and_updates_of_a_run_are_those_of_its_learners(run: Serial
 Q_TABLE = [(START, "g1", 1.0), (TO_G2, "g2", 1.0), (TO_G3, "g3", 1.0), (TO_G4, "g4", 1.0)]
 
 
-def trained(name: str, pid: str) -> SACLearner:
+def trained(name: str, pid: str) -> OffPolicyLearner:
     learner = small_sac(pid, name=name)
     for _ in range(4):
         learner.iterate(NoPeers())
@@ -131,7 +132,7 @@ def test_a_loaded_policy_acts_as_the_live_actors_averages(tmp_path: Path) -> Non
     for row in range(len(q)):
         learner = learners[{START: "g1", TO_G2: "g2", TO_G3: "g3", TO_G4: "g4"}[int(q[row])]]
         state = product_states(observations[row : row + 1], q[row : row + 1])
-        live = averaged(learner.updater).act(state, deterministic=True)
+        live = averaged(learner.agent.updater).act(state, deterministic=True)
         assert actions[row] == pytest.approx(live[0], abs=1e-6)
     assert policy.act(observations[0], []) in spaces.Box(-1, 1, (2,), np.float32)
 
@@ -148,7 +149,7 @@ def test_actions_of_a_policy_are_stretched_to_its_action_space() -> None:
     observations = observations.astype(np.float32)
     states = product_states(observations, np.zeros(50, np.int32), task.dfa.states)
     actions, _ = policy.actions(observations, np.zeros(50, np.int32))
-    assert np.allclose(actions, 3.5 * averaged(learner.updater).act(states, deterministic=True), atol=1e-5)
+    assert np.allclose(actions, 3.5 * averaged(learner.agent.updater).act(states, deterministic=True), atol=1e-5)
     assert all(action in spaces.Box(-3.5, 3.5, (2,), np.float32) for action in actions)
     assert np.abs(actions).max() > 3.4
 
@@ -178,7 +179,7 @@ def test_weights_go_from_one_learner_to_another() -> None:
 
 
 @pytest.fixture(scope="module")
-def asked() -> SACLearner:
+def asked() -> OffPolicyLearner:
     return trained("task5", "g1")
 
 
@@ -187,9 +188,9 @@ def test_the_published_critic_is_the_one_after_the_last_update() -> None:
     observations, q = np.zeros((3, 23), np.float32), np.array([START, TO_G2, START], np.int32)
     for version in range(1, 6):
         learner.iterate(NoPeers())
-        copy = learner.published._copy
-        expected = twin(learner.updater)
-        expected.load_optimiser_state(copy.optimiser_state())  # its noise is its own
+        critic = learner.published._critic
+        expected = twin(learner.agent.updater)
+        expected._generator.set_state(critic.generator.get_state())  # its noise is its own
         values, published = learner.published.values({"observation": observations, "q": q})
         assert published == learner.version == version
         assert values.dtype == np.float32
@@ -235,7 +236,7 @@ def fits(request: dict[str, NDArray[Any]]) -> bool:
 @example(question={"observation": np.zeros((0, 23), np.float32), "q": np.zeros(0, np.int32)})
 @example(question={"observation": np.zeros((2, 23), np.float32), "q": np.array([0, 5], np.int64)})
 def test_a_malformed_request_is_refused_and_a_good_one_answered(
-    asked: SACLearner, question: dict[str, NDArray[Any]]
+    asked: OffPolicyLearner, question: dict[str, NDArray[Any]]
 ) -> None:
     if not fits(question):
         with pytest.raises(ProtocolError):
@@ -323,4 +324,4 @@ def test_a_replay_too_small_to_ever_learn_is_refused(flags: tuple[str, ...]) -> 
 
 def test_product_states_of_the_tests_are_those_of_the_networks() -> None:
     observations, q = np.random.default_rng(0).random((6, 3)).astype(np.float32), np.arange(6, dtype=np.int32)
-    assert np.array_equal(product_states(observations, q), product_state(observations, q, 6).numpy())
+    assert np.array_equal(product_states(observations, q), networks_states.product_states(observations, q, 6))

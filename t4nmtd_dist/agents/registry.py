@@ -1,4 +1,4 @@
-"""Put a learner together from a compiled task."""
+"""Puts a learner together from a compiled task: environments, rollout, and the agent that the settings name."""
 
 from __future__ import annotations
 
@@ -6,11 +6,11 @@ import zlib
 
 import numpy as np
 
+from t4nmtd_dist.agents.common.context import AgentContext
 from t4nmtd_dist.agents.common.rollout import Rollout
-from t4nmtd_dist.agents.ppo.agent import PPOLearner
+from t4nmtd_dist.agents.modules import builder_module
 from t4nmtd_dist.agents.protocol import Learner
 from t4nmtd_dist.core.devices import Device
-from t4nmtd_dist.environments.action_spaces import action_bounds, action_count
 from t4nmtd_dist.environments.timed import make_task_env
 from t4nmtd_dist.method.compiled import CompiledTask
 from t4nmtd_dist.method.protocol import Method
@@ -37,26 +37,22 @@ def build_learner(
 
     Raises:
         EnvError: if the environment cannot be opened, or its spaces or propositions do not fit.
-        ConfigError: if the algorithm has not been decided (``environments.preparation.prepared`` does).
+        ConfigError: if there is no such algorithm, or it has not been decided (``environments.preparation.prepared``
+            does).
     """
     config = task.config
-    settings, own = config.learner, config.agent
-    env = make_task_env(config, own.num_envs)
+    agent = builder_module(config.learner.algorithm)
+    env = make_task_env(config, config.agent.num_envs)
     reader = SymbolReader(task.dfa, env.propositions)
-    rollout = Rollout(env, reader, method, pid, buffer, np.random.default_rng([seed, 0]))
-    normalised = ~env.categorical if settings.normalise_observations == "on" else None
-    if settings.algorithm == "ppo":
-        actions = action_count(env.action_space, config.environment.id, settings.algorithm.upper())
-        states = task.dfa.states
-        return PPOLearner(
-            pid, rollout, settings, own, method,
-            dfa_states=states, actions=actions, seed=seed, device=device, normalised=normalised,
-        )  # fmt: skip
-    bounds = action_bounds(env.action_space, config.environment.id, settings.algorithm.upper())
-    from t4nmtd_dist.agents.sac.agent import SACLearner
-
-    delta = task.dfa.delta
-    return SACLearner(
-        pid, rollout, delta, settings, own, method,
-        bounds=bounds, seed=seed, peers=len(task.decomposition.pids) - 1, device=device, normalised=normalised,
-    )  # fmt: skip
+    return agent.build(
+        AgentContext(
+            pid=pid,
+            task=task,
+            rollout=Rollout(env, reader, method, pid, buffer, np.random.default_rng([seed, 0])),
+            action_space=env.action_space,
+            method=method,
+            seed=seed,
+            device=device,
+            normalised=~env.categorical & (config.learner.normalise_observations == "on"),
+        )
+    )

@@ -4,6 +4,7 @@ Such a module defines
 
 - ``CONFIG``: a frozen dataclass, the section ``[<name>]`` of a task file;
 - ``ACTIONS``: the action spaces it takes, ``"discrete"`` or ``"continuous"``;
+- ``EXPLORATION`` (optional): settings to raise for more exploration, as ``section.key``;
 - ``LEARNER_DEFAULTS`` (optional): its own defaults for keys of ``[learner]``;
 - ``FORMER_KEYS`` (optional): keys of earlier versions and what to use instead;
 - ``check(config, learner)`` (optional): conditions on several settings; raises ConfigError.
@@ -31,6 +32,7 @@ class AgentSettings:
     actions: ActionKind
     learner_defaults: Mapping[str, Any]
     former_keys: Mapping[str, str]
+    exploration: tuple[str, ...]
     check: Callable[[Any, Any], None]
 
 
@@ -47,6 +49,7 @@ def agent_settings(name: str) -> AgentSettings:
         actions=module.ACTIONS,
         learner_defaults=getattr(module, "LEARNER_DEFAULTS", {}),
         former_keys=getattr(module, "FORMER_KEYS", {}),
+        exploration=getattr(module, "EXPLORATION", ()),
         check=getattr(module, "check", _nothing_to_check),
     )
 

@@ -12,8 +12,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from t4nmtd_dist.agents.actors import Actions, make_actor
-from t4nmtd_dist.agents.common.networks import product_state
+from t4nmtd_dist.agents.actors import make_actor
+from t4nmtd_dist.agents.common.product_states import product_states
+from t4nmtd_dist.agents.protocol import Actions
 from t4nmtd_dist.automata.acceptance import LAST
 from t4nmtd_dist.automata.dfa import DFA
 from t4nmtd_dist.core.action_modes import ActionMode, action_mode
@@ -119,7 +120,7 @@ class GlobalPolicy:
             if pid is None:
                 continue
             rows = q == state
-            found = self._actors[pid].act(product_state(observations[rows], q[rows], self.dfa.states), rng)
+            found = self._actors[pid].act(product_states(observations[rows], q[rows], self.dfa.states), rng)
             if actions is None:
                 actions = np.zeros((len(q), *found.shape[1:]), found.dtype)
             actions[rows], known[rows] = found, True

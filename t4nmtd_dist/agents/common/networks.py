@@ -1,4 +1,4 @@
-"""Small networks over the product state: the observation and a one-hot of the DFA state."""
+"""Small torch networks over product states, and their weights as arrays."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import torch
 from numpy.typing import NDArray
-from torch import Tensor, nn
+from torch import nn
 
 from t4nmtd_dist.agents.weights import Weights
 from t4nmtd_dist.core.errors import PolicyError
@@ -28,15 +28,6 @@ def _linear(inputs: int, outputs: int, gain: float) -> nn.Linear:
     nn.init.orthogonal_(layer.weight, gain)
     nn.init.zeros_(layer.bias)
     return layer
-
-
-def product_state(observations: NDArray[np.float32], q: NDArray[np.int32], dfa_states: int) -> Tensor:
-    """Network input: float32 [N, d + |Q|], the observation followed by the one-hot of q."""
-    rows = len(observations)
-    joined = np.zeros((rows, observations.shape[1] + dfa_states), dtype=np.float32)
-    joined[:, : observations.shape[1]] = observations
-    joined[np.arange(rows), observations.shape[1] + q] = 1.0
-    return torch.from_numpy(joined)
 
 
 def weights_of(module: nn.Module) -> Weights:

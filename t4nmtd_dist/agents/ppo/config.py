@@ -39,3 +39,4 @@ class PPOConfig:
 
 CONFIG = PPOConfig
 ACTIONS = "discrete"
+EXPLORATION = ("ppo.entropy_coefficient",)

@@ -65,6 +65,7 @@ class SACConfig:
 
 CONFIG = SACConfig
 ACTIONS = "continuous"
+EXPLORATION = ("sac.hold_share", "sac.wave_share")
 LEARNER_DEFAULTS: Mapping[str, Any] = {
     "gamma": 0.98,
     "shaping": "subtask",

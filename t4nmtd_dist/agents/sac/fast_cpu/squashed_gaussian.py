@@ -1,23 +1,20 @@
-"""SAC's policy: a Gaussian squashed by tanh, its log-probability, and the gradient of the actor's loss through both.
+"""``sac.squashed_gaussian`` by hand, with the gradient of the actor's loss through it.
 
-All arrays are transposed, [.., rows], as ``sac_networks`` puts them out; numpy, because its calls on so few numbers
-cost half of torch's. Source: Haarnoja et al., 2018, appendix C; bounds and the 1e-6 in the logarithm are those of
-Stable-Baselines3.
+All arrays are transposed, [.., rows], as ``forward`` puts them out; numpy, because its calls on so few numbers cost
+half of torch's.
 """
 
 from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-Reals = NDArray[np.floating[Any]]
+from t4nmtd_dist.agents.sac.squashed_gaussian import LOG_STD_MAX, LOG_STD_MIN, SQUASH_EPSILON
+from t4nmtd_dist.agents.sac.updater import Reals
 
-LOG_STD_MIN, LOG_STD_MAX = -20.0, 2.0
-SQUASH_EPSILON = 1e-6
 _HALF_LOG_2_PI = 0.5 * math.log(2 * math.pi)
 
 

@@ -1,6 +1,6 @@
 """What a gradient step of soft actor-critic takes, and what its two implementations have in common.
 
-``sac_update`` has the fast one for the CPU, with gradients written by hand; ``sac_torch`` has the plain one, for any
+``fast_cpu`` has the fast one for the CPU, with gradients written by hand; ``torch_update`` has the plain one, for any
 device. Weights and optimisers' states have the same names and shapes, so policies, checkpoints and peers' replicas go
 from one to the other.
 """
@@ -13,12 +13,12 @@ from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
-from torch import Tensor
 
-from t4nmtd_dist.agents.common.squashed_gaussian import Reals
+from t4nmtd_dist.agents.common.batches import Batch
 from t4nmtd_dist.agents.weights import Weights
 
 Floats = NDArray[np.float32]
+Reals = NDArray[np.floating[Any]]
 
 
 @dataclass(frozen=True)
@@ -63,25 +63,6 @@ class PeerSoftValues:
     log_probs: Floats
 
 
-@dataclass
-class SACBatch:
-    """Experiences, float32: what one gradient step learns from.
-
-    Attributes:
-        states: product states [B, d].
-        actions: actions within [-1, 1] [B, A].
-        rewards: sums of the discounted scaled rewards of the n steps [B].
-        discounts: gamma**n, or 0 where the experience ends in a terminal [B].
-        next_states: product states n steps later [B, d].
-    """
-
-    states: Tensor
-    actions: Tensor
-    rewards: Tensor
-    discounts: Tensor
-    next_states: Tensor
-
-
 class SoftActorCritic(Protocol):
     """Actor, twin critics, their targets and the entropy coefficient of one sub-task, and how a batch changes them."""
 
@@ -93,7 +74,7 @@ class SoftActorCritic(Protocol):
     def soft_values(self, states: Floats) -> tuple[Floats, Floats]:
         """What a peer is asked for: min_i Q'_i(s, a) and log pi(a|s), each [N], with a drawn from the own actor."""
 
-    def update(self, batch: SACBatch, peers: PeerSoftValues | None = None) -> None:
+    def update(self, batch: Batch, peers: PeerSoftValues | None = None) -> None:
         """One gradient step of critics, actor and entropy coefficient, and of the targets towards the critics.
 
         Args:
@@ -101,7 +82,7 @@ class SoftActorCritic(Protocol):
             peers: the soft values of rows whose next state belongs to a peer; None for none.
         """
 
-    def update_with_noise(self, batch: SACBatch, noise: Floats, peers: PeerSoftValues | None = None) -> None:
+    def update_with_noise(self, batch: Batch, noise: Floats, peers: PeerSoftValues | None = None) -> None:
         """``update`` with given noise: standard normal [A, 2 B], for the actions in s and then for those in s'."""
 
     def scale_learning_rate(self, factor: float) -> None:
@@ -128,6 +109,9 @@ class SoftActorCritic(Protocol):
 
     def weights(self) -> Weights:
         """Copies of everything learned: ``actor.*``, ``average.*``, ``critics.*``, ``targets.*``, ``log_alpha`` [1]."""
+
+    def critic_weights(self) -> Weights:
+        """Copies of what ``soft_values`` is computed from: ``actor.*`` and ``targets.*``."""
 
     def load(self, weights: Mapping[str, NDArray[Any]]) -> None:
         """Put arrays from ``weights`` into the networks.
