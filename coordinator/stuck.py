@@ -83,7 +83,7 @@ def _strayed(stats: LearnerStats) -> int:
 def _advice(stats: LearnerStats, task: CompiledTask) -> list[str]:
     """Likely causes, and settings to try, by how most attempts end."""
     learner = task.config.learner
-    explore = "sac.hold_share or sac.wave_share" if learner.algorithm == "sac" else "ppo.entropy_coefficient"
+    explore = "sac.exploration_share" if learner.algorithm == "sac" else "ppo.entropy_coefficient"
     ends = {
         "timeouts": (
             f"the target is further away than learner.attempt_steps = {learner.attempt_steps}, or too rare to be "

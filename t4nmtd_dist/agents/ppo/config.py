@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 from t4nmtd_dist.core.setting_types import Count, Positive, Share
@@ -39,3 +40,4 @@ class PPOConfig:
 
 CONFIG = PPOConfig
 ACTIONS = "discrete"
+FORMER_KEYS: Mapping[str, str] = {"worlds": "it is called 'ppo.num_envs' now"}

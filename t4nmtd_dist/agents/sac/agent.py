@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from t4nmtd_dist.agents.actors import scaled
-from t4nmtd_dist.agents.common.exploration import HeldActionExploration, SinusoidExploration
+from t4nmtd_dist.agents.common.exploration import Exploration
 from t4nmtd_dist.agents.common.normalisation import Normalisation
 from t4nmtd_dist.agents.common.peer_values import PeerCritics, Values
 from t4nmtd_dist.agents.common.replay_buffer import Experience
@@ -94,8 +94,7 @@ class SACLearner:
         kept_of_each = max(1, self.experience.steps // max(1, peers))  # of all peers together what the own replay holds
         self.peer_steps = kept_of_each if sac.peer_share else 0
         self.batches = BatchSource(pid, self.experience, tables, delta, config, sac, high_level, self._rng)
-        self._waves = SinusoidExploration(count, action_size, sac.wave_share, self._rng)
-        self._holds = HeldActionExploration(count, action_size, sac.hold_share, self._rng)
+        self._exploration = Exploration(sac.exploration, sac.exploration_share, count, action_size, self._rng)
         self._initial_alpha = sac.initial_alpha or modest_alpha(config, action_size)
         settings = SACSettings(
             learning_rate=sac.learning_rate,
@@ -167,8 +166,7 @@ class SACLearner:
             "weights": self.updater.weights() | self._normalisation.weights(),
             "optimisers": self.updater.optimiser_state(),
             "experience": self.experience.state_dict(),
-            "waves": self._waves.state_dict(),
-            "holds": self._holds.state_dict(),
+            "exploration": self._exploration.state_dict(),
             "attempts": self.attempts.state_dict(),
             "rng": self._rng.bit_generator.state,
             "owed": self._owed,
@@ -184,8 +182,7 @@ class SACLearner:
         self.experience.load(state["experience"])
         self.load(state["weights"], state["version"])
         self.updater.load_optimiser_state(state["optimisers"])
-        self._waves.load_state_dict(state["waves"])
-        self._holds.load_state_dict(state["holds"])
+        self._exploration.load_state_dict(state["exploration"])
         self.attempts.load_state_dict(state["attempts"])
         self._rng.bit_generator.state = state["rng"]
         self._owed, self._fresh[:] = state["owed"], state["fresh"]
@@ -212,12 +209,10 @@ class SACLearner:
     def _step(self) -> None:
         attempts = self.attempts
         observations, q = attempts.observations.copy(), attempts.q.copy()
-        success = self._success()
-        self._waves.begin(self._fresh, success)
-        self._holds.begin(self._fresh, success)
+        self._exploration.begin(self._fresh, self._success())
         self._normalisation.update(observations)
         chosen = self.updater.act(self._states(observations, q), deterministic=False)
-        actions = self._waves.drive(self._holds.drive(chosen))
+        actions = self._exploration.drive(chosen)
         step = attempts.step(scaled(actions, self._low, self._high))
         self.experience.add(
             observations, q, actions, step.symbols, step.next_observations, step.terminated, step.ended, step.reached
