@@ -46,7 +46,8 @@ from coordinator.service import CoordinatorService
 from coordinator.state import CoordinatorState, RunSettings
 from envs.racecar_track import TARGET_RADIUS, TARGETS, on_track
 from t4nmtd_dist.environments.preparation import prepared
-from t4nmtd_dist.launch.local import dealt, role
+from t4nmtd_dist.launch.command_lines import python_command
+from t4nmtd_dist.launch.program import assign_pids
 from t4nmtd_dist.method.compiled import compile_task
 from t4nmtd_dist.runs.directory import CHECKPOINTS_FOLDER, CONFIG_FILE, ENDPOINTS_FILE
 from t4nmtd_dist.tasks import load_task
@@ -129,11 +130,11 @@ class Run:
         while not endpoints.exists():
             self._check(deadline)
         control = json.loads(endpoints.read_text(encoding="utf-8"))["control"]
-        for name, hand in dealt(PIDS, self.mode.workers).items():
-            places = [part for pid in hand for part in ("--pid", pid)]
+        for name, held in assign_pids(PIDS, self.mode.workers).items():
+            places = [part for pid in held for part in ("--pid", pid)]
             if self.resume is not None:
                 places += ["--checkpoints", str(self.folder / "run" / CHECKPOINTS_FOLDER), *SELDOM]
-            self._spawn([*role("worker"), "--connect", control, "--instance", name, *places], name)
+            self._spawn([*python_command("worker"), "--connect", control, "--instance", name, *places], name)
         self.inquiry = Inquiry(new_context(), control)
         self.inquiry.agree(ANSWER_S)
 
@@ -151,7 +152,7 @@ class Run:
         settings["learner"]["intervention"] = self.mode.intervention
         settings["evaluation"]["every"] = BUDGET
         (run / CONFIG_FILE).write_text(tomli_w.dumps(settings), encoding="utf-8")
-        command = [*role("coordinator"), "--resume", str(run), "--no-dashboard", *SELDOM]
+        command = [*python_command("coordinator"), "--resume", str(run), "--no-dashboard", *SELDOM]
         command += ["--bind", LOOPBACK, "--publish", LOOPBACK, "--lease", "1e9"]
         return [*command, "--max-interactions", str(BUDGET)]
 
@@ -226,7 +227,7 @@ def serve(folder: Path, flags: Sequence[str]) -> None:
             entries.append((q, pid, 1.0))
             for start in scripted_starts(pid):
                 state.records[pid].buffer.add(q, start)
-    state.high_level.load(entries)
+    state.method.load(entries)
     CoordinatorService(state, run, Access(LOOPBACK, LOOPBACK, None, False), restart=False).serve()
 
 

@@ -39,7 +39,6 @@ from t4nmtd_dist.agents.sac.fast_cpu.matmul import multiply
 from t4nmtd_dist.agents.sac.fast_cpu.update import SACUpdater
 from t4nmtd_dist.agents.sac.interface import PeerSoftValues, SACBatch, SACSettings
 from t4nmtd_dist.method.compiled import CompiledTask, compile_task
-from t4nmtd_dist.method.rewards import subtask_tables
 from t4nmtd_dist.tasks import load_task
 
 OBSERVATION, ACTIONS, HIDDEN, BATCH = 76, 2, (256, 256), 256
@@ -79,18 +78,15 @@ class Sampling:
     def __init__(self) -> None:
         task = compile_task(load_task(TASK))
         learner, states, pids = task.config.learner, task.dfa.states, task.decomposition.pids
-        tables = subtask_tables(
-            task.dfa, task.decomposition, PID, task.rho, gamma=learner.gamma, shaping=learner.shaping
-        )
-        high_level = task.q_table()
-        high_level.load((q, pid, 1.0) for q in range(states) for pid in task.decomposition.available(q))
+        method = task.method()
+        method.load((q, pid, 1.0) for q in range(states) for pid in task.decomposition.available(q))
         self._rng = np.random.default_rng(0)
-        own, peers = (self._filled(task, np.flatnonzero(tables.available)) for _ in range(2))
+        own, peers = (self._filled(task, method.reads(PID).q) for _ in range(2))
         sac = dataclasses.replace(SACConfig(), batch=BATCH)
-        self._source = BatchSource(PID, own, tables, task.dfa.delta, learner, sac, high_level, self._rng)
+        self._source = BatchSource(PID, own, task.dfa.delta, learner, sac, method, self._rng)
         self._source.others = {next(pid for pid in pids if pid != PID): peers}
 
-    def _filled(self, task: CompiledTask, readable: NDArray[np.intp]) -> Experience:
+    def _filled(self, task: CompiledTask, readable: NDArray[np.int32]) -> Experience:
         """Observations are as wide as leaves 76 for the networks; every 50th step ends an attempt, half succeed."""
         rng, width, symbols = self._rng, OBSERVATION - task.dfa.states, task.dfa.delta.shape[1]
         experience = Experience(STORED // WORLDS, WORLDS, width, ACTIONS)

@@ -128,10 +128,8 @@ def _phase(state: CoordinatorState, pid: str, reported: LearnerPhase) -> Learner
 
 
 def _q_cells(state: CoordinatorState) -> list[QCell]:
-    return [
-        QCell(q=q, pid=pid, value=value, greedy=state.high_level.greedy(q) == pid)
-        for q, pid, value in state.high_level.entries()
-    ]
+    greedy = state.method.choose(range(state.task.dfa.states))
+    return [QCell(q=q, pid=pid, value=value, greedy=greedy[q] == pid) for q, pid, value in state.method.entries()]
 
 
 def thinned(history: list[EvaluationRow], most: int) -> list[EvaluationRow]:

@@ -94,7 +94,7 @@ class CoordinatorState:
 
     def __init__(self, task: CompiledTask, settings: RunSettings) -> None:
         self.task, self.settings = task, settings
-        self.high_level = task.q_table()
+        self.method = task.method()
         self.rng = np.random.default_rng([settings.seed, 2])
         pids = task.decomposition.pids
         capacity = task.config.learner.start_capacity
@@ -321,19 +321,14 @@ class CoordinatorState:
         return [Send(peer, refused, answers=answers)]
 
     def _apply(self, pid: str, progress: PackedProgress) -> list[Action]:
-        for q, q_next, steps, reward in progress.changes:
-            if q_next < 0:
-                self.high_level.fail(q, pid)
-            else:
-                self.high_level.update(q, pid, reward, q_next, steps)
+        self.method.told(pid, progress.changes)
         starts = usable(progress.starts)
         for q, state in starts:
             self.snapshot = state
             if q in self.task.terminal:
                 continue
-            chosen = self.high_level.choose(q, self.rng)
-            if chosen is not None:
-                self.records[chosen].buffer.add(q, state)
+            for receiver in self.method.receivers(pid, q, self.rng):
+                self.records[receiver].buffer.add(q, state)
         dropped = len(progress.starts) - len(starts)
         return self._complain(pid, f"{dropped} start states are dropped: they are not finite" if dropped else "")
 
@@ -345,7 +340,7 @@ class CoordinatorState:
             epoch=sync.epoch,
             accepted_sequence=record.sequence,
             start_cursor=fresh[-1][0] if fresh else sync.start_cursor,
-            q_table=self.high_level.entries(),
+            q_table=self.method.entries(),
             peers=self._peers(sync.pid),
             evaluate=self.interactions > 0 and self.stand_ins.wanted(self.now) and self._evaluation_due(),
         )
@@ -372,7 +367,7 @@ class CoordinatorState:
             return [Send(peer, EvaluationJob(job=0), answers=answers)]
         versions = self._versions()
         weights = {pid: acting_parameters(self.records[pid].weights) for pid in versions}
-        snapshot = self.evaluations.hand_out(self.interactions, self.high_level.entries(), versions, weights)
+        snapshot = self.evaluations.hand_out(self.interactions, self.method.entries(), versions, weights)
         job = EvaluationJob(
             job=snapshot.job,
             interactions=snapshot.interactions,

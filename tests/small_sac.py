@@ -56,7 +56,7 @@ def small_sac(pid: str, *flags: str, starts: tuple[Place, ...] = (), name: str =
     task, buffer = small_sac_task(*flags, name=name), InitialStateBuffer(100)
     for q, state in starts:
         buffer.add(q, state)
-    learner = build_learner(task, pid, buffer, task.q_table(), seed=seed)
+    learner = build_learner(task, pid, buffer, task.method(), seed=seed)
     assert isinstance(learner, SACLearner)
     return learner
 

@@ -56,7 +56,7 @@ def small_learner(pid: str, *flags: str, starts: tuple[tuple[int, NDArray[np.gen
     task, buffer = small_task(*PLAIN, *flags), InitialStateBuffer(100)
     for q, state in starts:
         buffer.add(q, state)
-    return build_learner(task, pid, buffer, task.q_table(), seed=0)
+    return build_learner(task, pid, buffer, task.method(), seed=0)
 
 
 def own_task(folder: Path, text: str) -> Path:

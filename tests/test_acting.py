@@ -48,7 +48,7 @@ def car_policy(**options: Any) -> GlobalPolicy:
 
 
 def car_observation() -> NDArray[np.float32]:
-    return small_sac("g1").attempts.observations[0]
+    return small_sac("g1").rollout.observations[0]
 
 
 def acted(policy: GlobalPolicy, observation: NDArray[np.float32], count: int, **options: Any) -> list[Any]:

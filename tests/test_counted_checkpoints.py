@@ -48,7 +48,7 @@ def test_a_killed_learner_has_no_checkpoint_of_steps_that_were_never_counted(tmp
     assert numbers(tmp_path) == ["000001"]
     work.claim()
     keeping(tmp_path, work)  # of a new worker, after a kill -9
-    assert work.session.learner.attempts.interactions == STEPS
+    assert work.session.learner.rollout.interactions == STEPS
     work.iterate(1)
     assert work.counted == 2 * STEPS
 

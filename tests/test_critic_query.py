@@ -44,7 +44,7 @@ def at(endpoint: str, version: int = 0) -> Peer:
 
 
 def observations(learner: PPOLearner, count: int) -> NDArray[np.float32]:
-    size = learner.attempts.observations.shape[1]
+    size = learner.rollout.observations.shape[1]
     return np.random.default_rng(0).uniform(-1, 1, (count, size)).astype(np.float32)
 
 
@@ -69,7 +69,7 @@ def answered(peers: QueryPeers, questions: list[Question]) -> dict[int, float]:
 def test_the_values_are_those_of_the_published_network(service: CriticService, peers: QueryPeers) -> None:
     learners = {pid: small_learner(pid) for pid in ("g", "p1")}
     for pid, learner in learners.items():
-        learner.attempts.begin()
+        learner.rollout.begin()
         service.serve(pid, learner.published)
     peers.set_peers({pid: at(service.endpoint) for pid in learners})
     rows = observations(learners["g"], 150)

@@ -97,7 +97,7 @@ def test_ppo_computes_gradients_where_its_network_is() -> None:
     learner._device = "meta"  # type: ignore[assignment]
     learner.network.to("meta")
     learner._optimiser = FlatAdam.of_module(learner.network, 1e-3)
-    learner._epochs(*np.zeros((2, learner._rollout.rewards.size), np.float32))
+    learner._epochs(*np.zeros((2, learner._trajectory.rewards.size), np.float32))
     assert learner.gradient_steps == 4
 
 
@@ -108,7 +108,7 @@ def test_ppo_learns_the_same_on_another_device(device: Device) -> None:
     for place in ("cpu", device):
         buffer = InitialStateBuffer(10)
         buffer.add(START, start)
-        learners.append(build_learner(task, "p2", buffer, task.q_table(), seed=0, device=place))
+        learners.append(build_learner(task, "p2", buffer, task.method(), seed=0, device=place))
         for _ in range(2):
             learners[-1].iterate(NoPeers())
     here, there = learners

@@ -16,8 +16,7 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 import envs
-from envs.frozenlake import FrozenLakeEnv
-from envs.frozenlake_batch import FrozenLakeVectorEnv
+from envs.frozenlake import FrozenLakeEnv, FrozenLakeVectorEnv
 from envs.frozenlake_rules import MAPS
 from envs.protocol import SnapshotEnv, SnapshotVectorEnv
 

@@ -324,8 +324,10 @@ def test_a_worker_killed_from_outside_is_told_in_the_event_log_and_on_the_termin
 
 
 def test_processes_are_started_without_the_current_folder_on_their_path(tmp_path: Path) -> None:
-    from t4nmtd_dist.launch.local import role
+    from t4nmtd_dist.launch.command_lines import python_command
 
     (tmp_path / "torch.py").write_text(FOREIGN, encoding="utf-8")
-    code = subprocess.run([*role("worker"), "--help"], cwd=tmp_path, capture_output=True, env=dict(os.environ))
+    code = subprocess.run(
+        [*python_command("worker"), "--help"], cwd=tmp_path, capture_output=True, env=dict(os.environ)
+    )
     assert code.returncode == 0, code.stderr

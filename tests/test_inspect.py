@@ -116,9 +116,18 @@ def test_the_picture_is_written_and_shows_every_state_and_guard(tmp_path: Path) 
 
 def test_transitions_of_two_sub_tasks_are_striped_and_colour_names_keep_their_colour() -> None:
     dfa = translate("F red & F blue", translator="python")
-    picture = draw_svg(dfa, decompose(dfa))
+    picture = draw_svg(dfa, decompose(dfa).subtasks)
     assert "#d62828" in picture
     assert 'stroke-dasharray="9 9"' in picture
+
+
+def test_a_picture_takes_its_colours_from_the_caller() -> None:
+    dfa = translate("F red & F blue", translator="python")
+    picture = draw_svg(
+        dfa, {"first": [(dfa.initial, target) for q, target in dfa.edges if q == dfa.initial]}, {"first": "#123456"}
+    )
+    assert "#123456" in picture
+    assert "#d62828" not in picture
 
 
 def test_a_picture_file_that_cannot_be_written_is_refused(tmp_path: Path) -> None:

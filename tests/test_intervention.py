@@ -249,7 +249,7 @@ class Clock:
 
 
 def seen(learner: SACLearner | PPOLearner, count: int = 9) -> Floats:
-    size = learner.attempts.observations.shape[1]
+    size = learner.rollout.observations.shape[1]
     return np.random.default_rng(0).uniform(-1, 1, (count, size)).astype(np.float32)
 
 

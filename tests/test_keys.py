@@ -433,7 +433,7 @@ def test_critics_answer_those_whom_the_coordinator_named_and_only_as_long(contex
     service = CriticService(context, own=server, tell=told.append)
     learner = small_learner("g")
     service.serve("g", learner.published)
-    size = learner.attempts.observations.shape[1]
+    size = learner.rollout.observations.shape[1]
     client = new_context()
     peers = QueryPeers(client, "asker", ClientKeys(asker, "unused"))
     try:
@@ -464,7 +464,7 @@ def test_a_peer_with_no_key_or_another_is_not_asked(context: Context, key: str) 
     claimed = new_pair("x").public if key else ""
     peers.set_peers({"g": Peer(endpoint=service.endpoint, version=0, epoch=1, key=claimed)})
     for _ in range(3):
-        assert len(values(peers, learner.attempts.observations.shape[1]).rows) == 0
+        assert len(values(peers, learner.rollout.observations.shape[1]).rows) == 0
     peers.close()
     client.destroy(linger=0)
     service.close()

@@ -21,7 +21,8 @@ from t4nmtd_dist.agents.common.replay_buffer import Experience
 from t4nmtd_dist.agents.sac.agent import SACLearner
 from t4nmtd_dist.wire.peers.critic_client import QueryPeers
 from t4nmtd_dist.wire.peers.replica import ReplicaPeers
-from workers.worker import Worker, WorkerOptions
+from workers.options import Connection, WorkerOptions
+from workers.worker import Worker
 
 FREE_PORT = "tcp://127.0.0.1:*"
 WAIT_S = 60.0
@@ -45,7 +46,7 @@ def workers_of(state: CoordinatorState, hands: tuple[tuple[str, ...], ...], fold
     service = CoordinatorService(state, folder / "run", Access(FREE_PORT, FREE_PORT))
     thread = threading.Thread(target=service.serve, daemon=True)
     thread.start()
-    made = [Worker(WorkerOptions(service.control, "learner", hand, hand[0], WAIT_S)) for hand in hands]
+    made = [Worker(WorkerOptions(Connection(service.control, WAIT_S), "learner", hand, hand[0])) for hand in hands]
     try:
         yield made
     finally:

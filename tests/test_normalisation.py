@@ -54,7 +54,7 @@ def task_of(name: str, folder: Path, *flags: str) -> CompiledTask:
 
 
 def learner_of(task: CompiledTask, pid: str = "left", iterations: int = 0, seed: int = 0) -> Learner:
-    learner = build_learner(task, pid, InitialStateBuffer(10), task.q_table(), seed=seed)
+    learner = build_learner(task, pid, InitialStateBuffer(10), task.method(), seed=seed)
     for _ in range(iterations):
         assert learner.iterate(NoPeers())
     return learner
@@ -169,7 +169,7 @@ def test_it_can_be_turned_off_and_the_packages_own_environments_have_it_off(tmp_
 def test_a_learner_learns_the_statistics_of_its_own_observations(name: str, tmp_path: Path) -> None:
     learner = learner_of(task_of(name, tmp_path), iterations=3)
     weights = learner.weights()
-    assert weights["normalisation.count"] == learner.attempts.interactions
+    assert weights["normalisation.count"] == learner.rollout.interactions
     assert weights["normalisation.mean"][0] > 100
     if learner.experience is not None:  # what peers learn from is as the environment gave it
         assert learner.experience.observations.max() > 100

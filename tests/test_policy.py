@@ -57,7 +57,7 @@ def test_a_loaded_policy_acts_as_the_live_actors(
     learners: dict[str, PPOLearner], exported: Path, seed: int, q: list[int]
 ) -> None:
     policy, states = load(exported), np.array(q, np.int32)
-    size = learners["g"].attempts.observations.shape[1]
+    size = learners["g"].rollout.observations.shape[1]
     observations = np.random.default_rng(seed).uniform(-1, 1, (len(q), size)).astype(np.float32)
     expected = []
     for row, state in enumerate(q):

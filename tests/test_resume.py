@@ -85,7 +85,7 @@ def told(run: SerialRun) -> dict[str, Any]:
         "weights": {name: array.tobytes() for name, array in learned.items()},
         "report": report,
         "evaluations": rows,
-        "q": run.coordinator.high_level.entries(),
+        "q": run.coordinator.method.entries(),
         "buffers": buffers,
         "versions": {pid: session.learner.version for pid, session in run.sessions.items()},
     }
@@ -160,9 +160,9 @@ def test_worlds_go_on_with_the_same_chance(kind: str, flags: tuple[str, ...]) ->
     def attempts() -> Any:
         task = small_sac_task(*flags, "environment.horizon=20", "learner.attempt_steps=5", name=kind)
         pid = next(pid for pid in task.decomposition.pids if pid in task.decomposition.available(task.dfa.initial))
-        learner = build_learner(task, pid, InitialStateBuffer(10), task.q_table(), seed=4)
-        assert learner.attempts.begin()
-        return learner.attempts
+        learner = build_learner(task, pid, InitialStateBuffer(10), task.method(), seed=4)
+        assert learner.rollout.begin()
+        return learner.rollout
 
     def course(going: Any) -> list[bytes]:
         rng = np.random.default_rng(0)
@@ -316,7 +316,7 @@ def test_a_killed_learner_goes_on_and_counts_only_what_it_does_then() -> None:
     state = work.kept()
     work.iterate(2)
     work.claim(state)
-    assert work.session.learner.attempts.interactions == 3 * STEPS
+    assert work.session.learner.rollout.interactions == 3 * STEPS
     assert work.session.learner.version == 5  # the coordinator's weights are newer
     work.iterate(1)
     assert work.counted == 6 * STEPS
@@ -349,11 +349,11 @@ def test_runs_that_share_a_folder_keep_their_checkpoints(tmp_path: Path) -> None
 
     kept("a", times=2)
     keeper, work = kept("b", times=4)
-    assert kept("a")[1].session.learner.attempts.interactions == 2 * STEPS
-    assert kept("b")[1].session.learner.attempts.interactions == 4 * STEPS
+    assert kept("a")[1].session.learner.rollout.interactions == 2 * STEPS
+    assert kept("b")[1].session.learner.rollout.interactions == 4 * STEPS
     keeper.delete([work.session])
     assert [path.name for path in tmp_path.iterdir()] == ["a"]
-    assert kept("a")[1].session.learner.attempts.interactions == 2 * STEPS
+    assert kept("a")[1].session.learner.rollout.interactions == 2 * STEPS
 
 
 def test_a_run_directory_holds_the_checkpoints_of_its_own_run_alone(tmp_path: Path) -> None:
@@ -404,7 +404,7 @@ def test_an_answer_to_another_learner_of_the_same_worker_is_left_alone() -> None
     work.iterate(1)
     work.session.last_sync()
     held = len(work.session.buffer)
-    own = SyncReply("p1", work.session.epoch, 2, 0, work.talk.state.high_level.entries(), {})
+    own = SyncReply("p1", work.session.epoch, 2, 0, work.talk.state.method.entries(), {})
     others = msgspec.structs.replace(own, pid="p2", accepted_sequence=99, start_cursor=50)
     work.session.take_reply(Envelope(others, {"starts.q": np.zeros(1, np.int32), "starts.state": np.zeros((1, 4))}))
     assert not work.session.heard

@@ -10,10 +10,10 @@ from pathlib import Path
 import pytest
 
 from t4nmtd_dist.agents.sac.config import SACConfig
-from t4nmtd_dist.cli.options import RunOptions
-from t4nmtd_dist.cli.plan import plan_run
 from t4nmtd_dist.core.errors import ConfigError, RunError
 from t4nmtd_dist.runs.directory import RunDirectory
+from t4nmtd_dist.runs.options import RunOptions
+from t4nmtd_dist.runs.planning import plan_run
 from t4nmtd_dist.runs.resuming import new_identity, read_stopped_run, write_identity
 from t4nmtd_dist.tasks import load_task
 

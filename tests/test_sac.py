@@ -25,9 +25,9 @@ from small_sac import (
     twin,
 )
 
+from t4nmtd_dist.agents.common.attempt_statistics import AttemptStatistics
 from t4nmtd_dist.agents.common.peer_values import NoPeers, PeerCritics
 from t4nmtd_dist.agents.common.replay_buffer import Returns
-from t4nmtd_dist.agents.common.rollout import Attempts
 from t4nmtd_dist.agents.sac.agent import BATCHES_AHEAD, SACLearner
 from t4nmtd_dist.agents.sac.fast_cpu.update import PeerSoftValues, SACBatch
 
@@ -39,8 +39,8 @@ from t4nmtd_dist.agents.sac.fast_cpu.update import PeerSoftValues, SACBatch
 def test_actions_are_within_the_bounds_and_use_all_of_them(name: str, pid: str, bound: float, share: float) -> None:
     flags = ("sac.exploration=sinusoid", f"sac.exploration_share={share}", "sac.learning_starts=400")
     learner = small_sac(pid, *flags, name=name)
-    taken, step = [], learner.attempts.step
-    learner.attempts.step = lambda actions: (taken.append(actions.copy()), step(actions))[1]  # type: ignore
+    taken, step = [], learner.rollout.step
+    learner.rollout.step = lambda actions: (taken.append(actions.copy()), step(actions))[1]  # type: ignore
     for _ in range(5):
         learner.iterate(NoPeers())
     actions = np.concatenate(taken)
@@ -59,7 +59,7 @@ def test_interactions_and_updates_are_counted_exactly(per_step: float) -> None:
     for iteration in range(1, 6):
         assert learner.iterate(NoPeers())
         interactions = iteration * 20
-        assert learner.attempts.interactions == interactions
+        assert learner.rollout.interactions == interactions
         assert learner.version == iteration
         assert len(learner.experience) == interactions
         due = int(per_step * interactions) - int(per_step * 48)  # 50 experiences are there at interaction 50
@@ -80,7 +80,7 @@ def test_nothing_is_learned_before_there_is_enough_to_learn_from() -> None:
 def test_a_learner_without_start_states_waits() -> None:
     learner = small_sac("g3")
     assert not learner.iterate(NoPeers())
-    assert (learner.attempts.interactions, learner.version, len(learner.experience)) == (0, 0, 0)
+    assert (learner.rollout.interactions, learner.version, len(learner.experience)) == (0, 0, 0)
 
 
 def test_what_is_stored_is_what_happened() -> None:
@@ -293,7 +293,7 @@ def test_rows_whose_peer_did_not_answer_use_the_own_critic() -> None:
 
 def test_a_learner_that_hands_over_to_itself_asks_nobody() -> None:
     learner = small_sac("g1", starts=((START, AT_G1),))
-    learner.batches.high_level.choose = lambda q, rng: "g1"  # type: ignore[method-assign]
+    learner.batches.method.successors = lambda role, q_next, rng: ["g1"] * len(q_next)  # type: ignore[method-assign]
     peers = CheckedPeers({})
     updates = updates_of(learner, peers)
     assert sum(update.returns.boundary.sum() for update in updates) > 20
@@ -356,8 +356,7 @@ def test_by_default_random_actions_for_ever_are_worth_one_target(
 @pytest.mark.parametrize(("success", "share"), [(None, 1.0), (0.0, 1.0), (0.5, 0.25), (1.0, 0.0)])
 def test_the_entropy_coefficient_of_a_learner_that_fails_stays_up(success: float | None, share: float) -> None:
     learner = small_sac("g1", "sac.initial_alpha=0.3", "sac.alpha_floor=0.5", "learner.reward_scale=1e-6")
-    type_of_attempts = type(learner.attempts)
-    learner.attempts.__class__ = type("Told", (type_of_attempts,), {"recent_success": success})
+    learner.rollout.statistics.__class__ = type("Told", (AttemptStatistics,), {"recent_success": success})
     learner.iterate(NoPeers())
     learner.updater._log_alpha.fill_(-20.0)
     for _ in range(3):
@@ -372,7 +371,7 @@ def test_the_entropy_coefficient_of_a_learner_that_fails_stays_up(success: float
 def test_the_learning_rate_falls_with_success(
     decay: float, success: float | None, factor: float, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(Attempts, "recent_success", success)
+    monkeypatch.setattr(AttemptStatistics, "recent_success", success)
     learner = small_sac("g1", f"sac.learning_rate_decay={decay}", "sac.learning_rate=0.01")
     while not learner.gradient_steps:
         learner.iterate(NoPeers())

@@ -78,7 +78,7 @@ def evaluations_of(run: SerialRun) -> list[Any]:
 def test_two_runs_of_one_seed_are_equal_bit_for_bit(run: SerialRun) -> None:
     first, second = run, run_of(3, clock=1234.5)
     assert same(all_weights(first), all_weights(second))
-    assert first.coordinator.high_level.entries() == second.coordinator.high_level.entries() != []
+    assert first.coordinator.method.entries() == second.coordinator.method.entries() != []
     assert report_of(first) == report_of(second)
     learners = [run.sessions["g1"].learner for run in (first, second)]
     assert learners[0].gradient_steps == learners[1].gradient_steps > 0
@@ -144,7 +144,7 @@ def test_actions_of_a_policy_are_stretched_to_its_action_space() -> None:
     learner.load(weights, 1)
     config = (task.config, task.dfa, task.decomposition, [(0, "red", 1.0)])
     policy = GlobalPolicy(*config, {"red": weights}, task.rho)
-    observations = np.random.default_rng(0).uniform(-1, 1, (50, learner.attempts.observations.shape[1]))
+    observations = np.random.default_rng(0).uniform(-1, 1, (50, learner.rollout.observations.shape[1]))
     observations = observations.astype(np.float32)
     states = product_states(observations, np.zeros(50, np.int32), task.dfa.states)
     actions, _ = policy.actions(observations, np.zeros(50, np.int32))
@@ -264,7 +264,7 @@ MISFITS = [
 def test_actions_that_a_learner_cannot_take_are_refused_by_name(name: str, algorithm: str, message: str) -> None:
     task = misfit(name, algorithm)
     with pytest.raises(EnvError, match=message):
-        build_learner(task, task.decomposition.pids[0], InitialStateBuffer(10), task.q_table(), seed=0)
+        build_learner(task, task.decomposition.pids[0], InitialStateBuffer(10), task.method(), seed=0)
 
 
 @pytest.mark.parametrize(("name", "algorithm", "message"), MISFITS)

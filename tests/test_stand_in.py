@@ -366,7 +366,7 @@ def test_an_evaluator_reports_its_processor_time_once_and_asks_for_more() -> Non
 def test_an_evaluation_step_by_step_is_the_same_as_at_once() -> None:
     task = small_task()
     learners = {
-        pid: build_learner(task, pid, InitialStateBuffer(10), task.q_table(), seed=0) for pid in task.decomposition.pids
+        pid: build_learner(task, pid, InitialStateBuffer(10), task.method(), seed=0) for pid in task.decomposition.pids
     }
     actors = {pid: acting_parameters(learner.weights()) for pid, learner in learners.items()}
     policy = GlobalPolicy(task.config, task.dfa, task.decomposition, [(0, "p1", 1.0)], actors, task.rho)

@@ -130,7 +130,7 @@ def test_trust_lets_it_run(processes: Processes, stranger: Stranger) -> None:
 
 def test_modules_in_a_strangers_folder_shadow_nothing(processes: Processes, stranger: Stranger) -> None:
     """A bundled environment opens without trust, and the folder that comes with it is not searched."""
-    stranger.plant("envs/__init__", "envs/frozenlake", "envs/frozenlake_batch", "pygame", "pymunk", "mujoco", "torch")
+    stranger.plant("envs/__init__", "envs/frozenlake", "envs.frozenlake", "pygame", "pymunk", "mujoco", "torch")
     for name in ("t4nmtd/FrozenLake-v0", "t4nmtd/Waterworld-v0"):
         policy = stranger.policy({"id": f"envs:{name}", "path": str(stranger.code)})
         evaluated = start(processes, "t4nmtd", "evaluate", str(policy), "--episodes", "1")

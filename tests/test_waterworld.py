@@ -17,8 +17,7 @@ from numpy.typing import NDArray
 from ponds import BLUE, COLOURS, GREEN, RED, colour_counts, command, commands, pond, run, snapshots
 
 from envs.protocol import SnapshotEnv, SnapshotVectorEnv
-from envs.waterworld import WaterworldEnv
-from envs.waterworld_batch import WaterworldVectorEnv
+from envs.waterworld import WaterworldEnv, WaterworldVectorEnv
 from envs.waterworld_ponds import COPIES_PER_SPACE
 from t4nmtd_dist.wire.codec import Envelope, decode, encode
 from t4nmtd_dist.wire.messages import Release

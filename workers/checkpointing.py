@@ -138,5 +138,5 @@ def _about(session: LearnerSession) -> State:
         "place": session.pid,
         "epoch": session.epoch,
         "version": learner.version,
-        "interactions": learner.attempts.interactions,
+        "interactions": learner.rollout.interactions,
     }

@@ -65,15 +65,15 @@ class LearnerSession:
         task = compiled_from(granted)
         self.pid, self.epoch, self.lease_s = granted.pid, granted.epoch, granted.lease_s
         self.buffer = InitialStateBuffer(task.config.learner.start_capacity)
-        self.high_level = task.q_table()
+        self.method = task.method()
         seed = subtask_seed(granted.seed, granted.pid, granted.epoch)
-        self.learner = build_learner(task, granted.pid, self.buffer, self.high_level, seed=seed, device=device)
+        self.learner = build_learner(task, granted.pid, self.buffer, self.method, seed=seed, device=device)
         self.peers: dict[str, Peer] = {}
         self.intervention = task.config.learner.intervention
         self._dfa_states, self.symbols = task.dfa.delta.shape
         self.processor_s = 0.0  # kept by whoever has a clock
         self._tell = tell
-        self.learner.attempts.tell = self._say
+        self.learner.rollout.report_to(self._say)
         self._take_weights(granted, arrays)
         self.run_id = granted.run_id
         self._trained_for = training_of(granted)
@@ -136,7 +136,7 @@ class LearnerSession:
         self._load(state)
         if granted.version > self.learner.version:
             self._take_weights(granted, arrays)
-        self.learner.attempts.take_progress()
+        self.learner.rollout.take_progress()
         self._counts = InterventionCounts()
         told = msgspec.convert(state["lease"]["told"], LearnerStats)
         self._told_before = msgspec.structs.replace(told, intervention=Intervention(), processor_s=self.processor_s)
@@ -146,7 +146,7 @@ class LearnerSession:
         return {
             "learner": self.learner.state_dict(),
             "buffer": self.buffer.state_dict(),
-            "q_table": self.high_level.entries(),
+            "q_table": self.method.entries(),
             "counts": asdict(self._counts),
             "lease": {
                 "sequence": self._sequence,
@@ -169,11 +169,12 @@ class LearnerSession:
     def _load(self, state: State) -> None:
         self.learner.load_state_dict(state["learner"])
         self.buffer.load_state_dict(state["buffer"])
-        self.high_level.load((q, pid, value) for q, pid, value in state["q_table"])
+        self.method.load((q, pid, value) for q, pid, value in state["q_table"])
 
     def iterate(self, peers: PeerCritics) -> bool:
-        """One roll-out and its updates; False while there is no state to start from."""
-        self._training = self.learner.iterate(peers)
+        """One roll-out and its updates; False while there is no state to start from, or others are scheduled."""
+        scheduled = self.method.schedule()
+        self._training = (scheduled is None or self.pid in scheduled) and self.learner.iterate(peers)
         self._counts = peers.counts
         return self._training
 
@@ -217,7 +218,7 @@ class LearnerSession:
     @property
     def all_told(self) -> bool:
         """Whether the newest message holds all that was done, be it answered or not."""
-        done = (self.learner.attempts.interactions, self.learner.gradient_steps)
+        done = (self.learner.rollout.interactions, self.learner.gradient_steps)
         return self._told is not None and (self._told.interactions, self._told.gradient_steps) == done
 
     @property
@@ -237,7 +238,7 @@ class LearnerSession:
         return self._all_counts()
 
     def _sync(self) -> Envelope:
-        progress = self.learner.attempts.take_progress()
+        progress = self.learner.rollout.take_progress()
         arrays = pack_progress(progress.changes, newest_starts(progress.starts, STARTS_PER_SYNC))
         if self.learner.version > self._sent_version:
             self._sent_version = self.learner.version
@@ -258,11 +259,11 @@ class LearnerSession:
         return counted_since(self._told, self._told_before)
 
     def _all_counts(self) -> LearnerStats:
-        attempts = self.learner.attempts
+        rollout, attempts = self.learner.rollout, self.learner.rollout.statistics
         entropy, value_loss = self.learner.losses()
         return LearnerStats(
             phase="training" if self._training else "waiting",
-            interactions=attempts.interactions,
+            interactions=rollout.interactions,
             gradient_steps=self.learner.gradient_steps,
             attempts=attempts.attempts,
             successes=attempts.successes,
@@ -290,7 +291,7 @@ class LearnerSession:
             self._start_cursor = reply.start_cursor
             for q, state in unpack_starts(envelope.arrays, self._dfa_states):
                 self.buffer.add(q, state)
-        self.high_level.load(reply.q_table)
+        self.method.load(reply.q_table)
         self.peers = reply.peers
 
     def _take_answer(self, sequence: int) -> None:

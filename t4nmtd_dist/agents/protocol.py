@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from t4nmtd_dist.agents.common.peer_values import PeerCritics, Values
 from t4nmtd_dist.agents.common.replay_buffer import Experience
-from t4nmtd_dist.agents.common.rollout import Attempts
+from t4nmtd_dist.agents.common.rollout import Rollout
 from t4nmtd_dist.agents.weights import Weights
 from t4nmtd_dist.core.state_dict import State
 from t4nmtd_dist.environments.batched import Observations
@@ -46,11 +46,11 @@ class Learner(Protocol):
         while True:
             if not learner.iterate(peers):
                 wait_for_start_states()
-            tell(learner.attempts.take_progress(), learner.weights(), learner.version)
+            tell(learner.rollout.take_progress(), learner.weights(), learner.version)
     """
 
     pid: str
-    attempts: Attempts
+    rollout: Rollout
     version: int
     gradient_steps: int
     value_shape: tuple[int, ...]

@@ -9,38 +9,48 @@ from typing import Annotated, Literal
 import tyro
 
 from t4nmtd_dist.cli.key_commands import Keys
-from t4nmtd_dist.cli.options import RunOptions
+from t4nmtd_dist.cli.options import RunFlags
 from t4nmtd_dist.core.action_modes import ActionMode
 from t4nmtd_dist.core.devices import Device
 from t4nmtd_dist.wire.endpoints import CONTROL_PORT, DEFAULT_CONTROL, complete_endpoint
 
 
 @dataclass(frozen=True)
-class Train(RunOptions):
+class Train(RunFlags):
     """Train a task on this machine until it is solved or the budget is spent (exit code 0 or 3)."""
 
     no_dashboard: bool = False
     """Show nothing until the end."""
     serial: bool = False
     """One process, in lock-step, bit-reproducible from the seed (on the CPU); for debugging."""
+    launcher: str | None = None
+    """Where the processes run: `local`, on this machine, or another launcher that is registered; by default local.
+    `serial` is --serial."""
     keys: Path | None = None
     """Folder made by `t4nmtd keys new`: keeps other users of this machine out; not needed otherwise."""
     workers: int | None = None
-    """How many processes learn, with the sub-tasks dealt to them in turn; by default one per sub-task."""
+    """How many processes learn, with the sub-tasks divided among them in turn; by default one per sub-task."""
     device: Device = "cpu"
     """Where they train; with networks as small as these the CPU is expected to be faster."""
 
     def run(self) -> int:
         """Train."""
-        from t4nmtd_dist.cli.train import train, train_serial
+        from t4nmtd_dist.cli.train import train
         from t4nmtd_dist.core.errors import ConfigError
 
-        if not self.serial:
-            shown = not self.no_dashboard
-            return train(self, dashboard=shown, keys=self.keys, workers=self.workers, device=self.device)
-        if self.workers is not None:
+        launcher = self.launcher or ("serial" if self.serial else "local")
+        if self.serial and launcher != "serial":
+            raise ConfigError(f"--serial and --launcher {launcher} contradict each other: give one of them")
+        if launcher == "serial" and self.workers is not None:
             raise ConfigError("--serial runs everything in one process, so it takes no --workers")
-        return train_serial(self, device=self.device)
+        return train(
+            self,
+            launcher=launcher,
+            dashboard=not self.no_dashboard,
+            keys=self.keys,
+            workers=self.workers,
+            device=self.device,
+        )
 
 
 @dataclass(frozen=True)

@@ -96,7 +96,7 @@ def run_inspect(
     )
     if svg is not None:
         _check_drawable(dfa)
-        _write(svg, draw_svg(dfa, decomposition))
+        _write(svg, draw_svg(dfa, decomposition.subtasks))
     if as_json:
         console.out(json.dumps(found, indent=1), highlight=False)
         return

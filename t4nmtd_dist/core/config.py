@@ -16,7 +16,7 @@ from typing import Any, Literal
 from t4nmtd_dist.core.action_modes import EvaluationActions
 from t4nmtd_dist.core.agent_settings import agent_settings, default_sections
 from t4nmtd_dist.core.errors import ConfigError
-from t4nmtd_dist.core.registry import AGENTS
+from t4nmtd_dist.core.registry import AGENTS, METHODS
 from t4nmtd_dist.core.sections import check_ranges, hints, plain, read_section
 from t4nmtd_dist.core.setting_sources import merge
 from t4nmtd_dist.core.setting_types import Count, CountOrZero, NotNegative, Positive, PositiveShare, Share, Widths
@@ -98,6 +98,9 @@ class LearnerConfig:
     """What all learners share.
 
     Attributes:
+        method: how the task is decomposed and its sub-tasks are joined, a name in ``core.registry.METHODS``:
+            ``t4nmtd``, or ``random``, which deals the same transitions to as many sub-tasks from the run's seed
+            (experiment 2).
         algorithm: name of an agent, such as ``ppo`` (discrete actions) or ``sac`` (continuous actions); ``auto``
             chooses by the action space.
         gamma: discount per step, also the one inside the shaped reward.
@@ -118,6 +121,7 @@ class LearnerConfig:
             (``environments.decisions``), it counts as ``off``.
     """
 
+    method: str = "t4nmtd"
     algorithm: str = "auto"
     gamma: Share = 0.99
     shaping: Shaping = "potential"
@@ -181,6 +185,7 @@ class TaskConfig:
 
     def __post_init__(self) -> None:
         check_ranges(self)
+        METHODS.check(self.learner.method, "learner.method")
         check_algorithm(self.learner.algorithm)
         for name, section in self.agents.items():
             check_ranges(section, name)

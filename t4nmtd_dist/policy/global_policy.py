@@ -24,6 +24,7 @@ from t4nmtd_dist.environments.batched import Observations
 from t4nmtd_dist.environments.timed import remaining_share
 from t4nmtd_dist.method.decomposition import Decomposition
 from t4nmtd_dist.method.high_level import QEntries
+from t4nmtd_dist.method.protocol import method_module
 from t4nmtd_dist.policy.export import ACTORS_FILE, POLICY_FILE, POLICY_FORMAT, read_export
 from t4nmtd_dist.policy.one_thread import one_torch_thread
 
@@ -88,14 +89,12 @@ class GlobalPolicy:
         return LAST in self.dfa.propositions
 
     def _choices(self) -> dict[int, str]:
-        """The greedy sub-task of every DFA state, among those that have an actor; ties by name."""
-        known = {(q, pid): value for q, pid, value in self.q_table}
-        chosen = {}
-        for q in range(self.dfa.states):
-            able = [pid for pid in self.decomposition.available(q) if pid in self._actors]
-            if able:
-                chosen[q] = max(able, key=lambda pid: known.get((q, pid), -np.inf))
-        return chosen
+        """The sub-task that the method chooses in every DFA state, greedily among those that have an actor."""
+        module = method_module(self.config.learner.method)
+        method = module.build(self.config, self.dfa, self.decomposition, self.rho)
+        method.load(self.q_table)
+        chosen = method.choose(range(self.dfa.states), among=self._actors)
+        return {q: pid for q, pid in enumerate(chosen) if pid is not None}
 
     def actions(
         self, observations: Observations, q: NDArray[np.int32], rng: np.random.Generator | None = None

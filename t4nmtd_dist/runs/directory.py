@@ -46,6 +46,11 @@ def default_run_directory(task: str, seed: int) -> Path:
     return Path("runs") / task / f"{stamp}-s{seed}"
 
 
+def real_path(run: Path) -> Path:
+    """The folder that a run directory is, where it is given by a link such as ``latest``, or as ``.``."""
+    return run.resolve() if run.is_symlink() or run.name in ("", "..") else run
+
+
 def write_atomically(path: Path, text: str) -> None:
     """Replace a file so that a reader sees the old text or the new one, never half of it."""
     fresh = path.with_name(f".{path.name}.new")
@@ -115,7 +120,7 @@ class RunDirectory:
     """
 
     def __init__(self, path: Path, *, restart: bool = False, resume: bool = False) -> None:
-        self.path = path.resolve() if path.is_symlink() or path.name in ("", "..") else path  # `latest`, or `.`
+        self.path = real_path(path)
         self._lock: IO[bytes] | None = None
         try:
             self._prepare(restart, resume)

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from t4nmtd_dist.core.errors import ProtocolError
+from t4nmtd_dist.method.protocol import Change
 from t4nmtd_dist.wire.limits import STARTS_BYTES, most_starts
 
 MOST_CHANGES = 1_000_000
@@ -17,7 +18,6 @@ MOST_STARTS = 256
 LARGEST_REWARD = 1e9
 
 Arrays = Mapping[str, NDArray[Any]]
-Change = tuple[int, int, int, float]
 Start = tuple[int, NDArray[Any]]
 
 
@@ -26,7 +26,7 @@ class PackedProgress:
     """What the arrays of a Sync hold.
 
     Attributes:
-        changes: of the DFA state, in order: (q, q' or -1, steps since q was entered, shaped reward).
+        changes: of the DFA state, in order.
         starts: start states (q', snapshot).
     """
 
@@ -79,7 +79,7 @@ def unpack_changes(arrays: Arrays, dfa_states: int) -> list[Change]:
     _check_states(q[:, 0], 0, dfa_states)
     _check_states(q[:, 1], -1, dfa_states)
     rows = zip(q.tolist(), rewards.tolist(), strict=True)
-    return [(before, after, steps, reward) for (before, after, steps), reward in rows]
+    return [Change(before, after, steps, reward) for (before, after, steps), reward in rows]
 
 
 def _check_rewards(rewards: NDArray[Any], count: int) -> None:

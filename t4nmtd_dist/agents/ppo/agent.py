@@ -18,7 +18,8 @@ from t4nmtd_dist.agents.common.networks import load_weights, mlp, product_state,
 from t4nmtd_dist.agents.common.normalisation import Normalisation
 from t4nmtd_dist.agents.common.peer_values import PeerCritics, Questions, Values
 from t4nmtd_dist.agents.common.replay_buffer import Experience
-from t4nmtd_dist.agents.common.rollout import Attempts, Mask
+from t4nmtd_dist.agents.common.rollout import Rollout
+from t4nmtd_dist.agents.common.successors import draw_successors
 from t4nmtd_dist.agents.common.value_request import read_value_request
 from t4nmtd_dist.agents.ppo.config import PPOConfig
 from t4nmtd_dist.agents.weights import Weights, check_finite
@@ -26,7 +27,7 @@ from t4nmtd_dist.core.config import LearnerConfig
 from t4nmtd_dist.core.devices import Device
 from t4nmtd_dist.core.state_dict import State
 from t4nmtd_dist.environments.batched import Observations
-from t4nmtd_dist.method.high_level import QTable
+from t4nmtd_dist.method.protocol import Mask, Method
 
 Floats = NDArray[np.float32]
 PATIENCE_S = 0.2  # for the answers to what was asked in the last steps of a roll-out
@@ -46,7 +47,7 @@ class ActorCritic(nn.Module):
 
 
 @dataclass
-class Rollout:
+class Trajectory:
     """T steps of N copies; every array begins with the axes [T, N]."""
 
     states: Floats
@@ -60,7 +61,7 @@ class Rollout:
     boundary_q: NDArray[np.int32]
 
     @classmethod
-    def empty(cls, steps: int, count: int, inputs: int, observation_size: int) -> Rollout:
+    def empty(cls, steps: int, count: int, inputs: int, observation_size: int) -> Trajectory:
         """Room for a roll-out, to be filled step by step."""
         shape = (steps, count)
         return cls(
@@ -162,10 +163,10 @@ class PPOLearner:
 
     Args:
         pid: the sub-task.
-        attempts: N copies of the environment within attempts.
+        rollout: N copies of the environment within attempts.
         config: settings shared by all learners.
         ppo: settings of PPO.
-        high_level: a copy of the coordinator's Q table, for E(Q, q').
+        method: the learner's copy of the method, whose upper level the coordinator keeps up to date.
         dfa_states: |Q|, the width of the one-hot.
         actions: number of actions.
         seed: seeds networks and sampling.
@@ -176,10 +177,10 @@ class PPOLearner:
     def __init__(
         self,
         pid: str,
-        attempts: Attempts,
+        rollout: Rollout,
         config: LearnerConfig,
         ppo: PPOConfig,
-        high_level: QTable,
+        method: Method,
         *,
         dfa_states: int,
         actions: int,
@@ -187,17 +188,17 @@ class PPOLearner:
         device: Device = "cpu",
         normalised: Mask | None = None,
     ) -> None:
-        self.pid, self.attempts, self.high_level = pid, attempts, high_level
+        self.pid, self.rollout, self.method = pid, rollout, method
         self._config, self._ppo, self._dfa_states = config, ppo, dfa_states
         self._rng = np.random.default_rng([seed, 1])
-        count, observation_size = attempts.observations.shape
+        count, observation_size = rollout.observations.shape
         self._normalisation = Normalisation(np.zeros(observation_size, np.bool_) if normalised is None else normalised)
         with torch.random.fork_rng(devices=[]):
             torch.manual_seed(seed)
             self.network = ActorCritic(observation_size + dfa_states, actions, config.hidden).to(device)
         self._device = device
         self._optimiser = FlatAdam.of_module(self.network, ppo.learning_rate, epsilon=1e-5)
-        self._rollout = Rollout.empty(ppo.rollout, count, observation_size + dfa_states, observation_size)
+        self._trajectory = Trajectory.empty(ppo.rollout, count, observation_size + dfa_states, observation_size)
         self.published = self.replica()
         self.value_shape: tuple[int, ...] = ()
         self.experience = None
@@ -208,7 +209,7 @@ class PPOLearner:
 
     def _entropy_coefficient(self) -> float:
         """Exploration gives way to exploitation as attempts succeed: linear between the two settings."""
-        success = self.attempts.recent_success or 0.0
+        success = self.rollout.statistics.recent_success or 0.0
         low, high = self._ppo.entropy_coefficient_successful, self._ppo.entropy_coefficient
         return high + (low - high) * success
 
@@ -230,7 +231,7 @@ class PPOLearner:
 
     def replica(self) -> PublishedCritic:
         """A critic of the same shape, to be loaded with the weights of a peer."""
-        size = self.attempts.observations.shape[1]
+        size = self.rollout.observations.shape[1]
         return PublishedCritic(self.network.critic, size, self._dfa_states, self._normalisation.alike())
 
     def learn_from(self, others: Mapping[str, Experience]) -> None:
@@ -251,7 +252,7 @@ class PPOLearner:
         return {
             "weights": self.weights(),
             "optimiser": self._optimiser.state_dict(),
-            "attempts": self.attempts.state_dict(),
+            "attempts": self.rollout.state_dict(),
             "rng": self._rng.bit_generator.state,
             "gradient_steps": self.gradient_steps,
             "version": self.version,
@@ -262,7 +263,7 @@ class PPOLearner:
         """See ``Learner.load_state_dict``."""
         self.load(state["weights"], state["version"])
         self._optimiser.load_state_dict(state["optimiser"])
-        self.attempts.load_state_dict(state["attempts"])
+        self.rollout.load_state_dict(state["attempts"])
         self._rng.bit_generator.state = state["rng"]
         self.gradient_steps = state["gradient_steps"]
         entropy, value_loss = state["losses"]
@@ -270,7 +271,7 @@ class PPOLearner:
 
     def iterate(self, peers: PeerCritics) -> bool:
         """Collect one roll-out and learn from it; False while there is no state to start from."""
-        if not self.attempts.begin():
+        if not self.rollout.begin():
             return False
         self.collect(peers)
         self.learn(peers)
@@ -279,20 +280,20 @@ class PPOLearner:
     @torch.no_grad()
     def collect(self, peers: PeerCritics) -> None:
         """Fill the roll-out; peers are asked about boundaries as they are crossed."""
-        rollout, attempts = self._rollout, self.attempts
+        trajectory, rollout = self._trajectory, self.rollout
         for t in range(self._ppo.rollout):
-            self._normalisation.update(attempts.observations)
-            states = self._states(attempts.observations, attempts.q)
-            rollout.states[t] = states.numpy()
-            actions, rollout.log_probs[t] = self._act(states)
-            rollout.actions[t] = actions
-            step = attempts.step(actions)
-            rollout.rewards[t] = step.reward * self._config.reward_scale
-            rollout.terminal[t] = step.terminal
-            rollout.cut[t] = step.ended | step.changed
-            rollout.boundary[t] = rollout.cut[t] & ~step.terminal
-            rollout.boundary_observations[t] = step.next_observations
-            rollout.boundary_q[t] = step.q_next
+            self._normalisation.update(rollout.observations)
+            states = self._states(rollout.observations, rollout.q)
+            trajectory.states[t] = states.numpy()
+            actions, trajectory.log_probs[t] = self._act(states)
+            trajectory.actions[t] = actions
+            step = rollout.step(actions)
+            trajectory.rewards[t] = step.reward * self._config.reward_scale
+            trajectory.terminal[t] = step.terminal
+            trajectory.cut[t] = step.ended | step.changed
+            trajectory.boundary[t] = trajectory.cut[t] & ~step.terminal
+            trajectory.boundary_observations[t] = step.next_observations
+            trajectory.boundary_q[t] = step.q_next
             self._ask(t, step.changed & ~step.terminal, peers)
 
     def _act(self, states: Tensor) -> tuple[NDArray[np.int64], Floats]:
@@ -302,27 +303,25 @@ class PPOLearner:
         return actions, log_probs[np.arange(len(actions)), actions]
 
     def _ask(self, t: int, crossed: Mask, peers: PeerCritics) -> None:
-        rollout = self._rollout
-        successors = {
-            n: self.high_level.choose(int(rollout.boundary_q[t, n]), self._rng) for n in np.flatnonzero(crossed)
-        }
-        others = {n: pid for n, pid in successors.items() if pid is not None and pid != self.pid}
-        if others:
-            copies = np.array(list(others), np.int64)
-            rows = t * rollout.rewards.shape[1] + copies
-            observations, q = rollout.boundary_observations[t, copies], rollout.boundary_q[t, copies]
-            peers.ask(self.version, Questions(rows, tuple(others.values()), observations, q))
+        trajectory = self._trajectory
+        successors = draw_successors(self.method, self.pid, crossed, trajectory.boundary_q[t], self._rng)
+        trajectory.terminal[t, successors.without_value] = True
+        copies = successors.rows
+        if len(copies):
+            rows = t * trajectory.rewards.shape[1] + copies
+            observations, q = trajectory.boundary_observations[t, copies], trajectory.boundary_q[t, copies]
+            peers.ask(self.version, Questions(rows, successors.pids, observations, q))
 
     def learn(self, peers: PeerCritics) -> None:
         """Advantages and PPO's epochs over the roll-out."""
         with torch.no_grad():
             values, next_values = self._bootstrap(peers)
-        rollout, ppo = self._rollout, self._ppo
+        trajectory, ppo = self._trajectory, self._ppo
         advantages = generalised_advantages(
-            rollout.rewards,
+            trajectory.rewards,
             values,
             next_values,
-            rollout.cut,
+            trajectory.cut,
             gamma=self._config.gamma,
             gae_lambda=ppo.gae_lambda,
         )
@@ -332,34 +331,34 @@ class PPOLearner:
 
     def _bootstrap(self, peers: PeerCritics) -> tuple[Floats, Floats]:
         """V(s_t) and the bootstrap values of s_{t+1}, float32 [T, N] each (the critic target with intervention)."""
-        rollout, attempts = self._rollout, self.attempts
-        last = self._states(attempts.observations, attempts.q)
-        flat = torch.from_numpy(rollout.states.reshape(-1, rollout.states.shape[-1]))
+        trajectory, rollout = self._trajectory, self.rollout
+        last = self._states(rollout.observations, rollout.q)
+        flat = torch.from_numpy(trajectory.states.reshape(-1, trajectory.states.shape[-1]))
         own = self.network.value(torch.cat([flat, last]).to(self._device)).cpu().numpy()
-        values = own[: len(flat)].reshape(rollout.rewards.shape)
+        values = own[: len(flat)].reshape(trajectory.rewards.shape)
         next_values = np.concatenate([values[1:], own[None, len(flat) :]])
-        crossed = rollout.boundary
+        crossed = trajectory.boundary
         if crossed.any():
             next_values[crossed] = self.critic_values(
-                rollout.boundary_observations[crossed], rollout.boundary_q[crossed]
+                trajectory.boundary_observations[crossed], trajectory.boundary_q[crossed]
             )
         answers = peers.gather(self.version, PATIENCE_S)
         next_values.reshape(-1)[answers.rows] = answers.values
-        next_values[rollout.terminal] = 0.0
+        next_values[trajectory.terminal] = 0.0
         return values, next_values
 
     def _epochs(self, advantages: Floats, returns: Floats) -> None:
-        rollout, ppo = self._rollout, self._ppo
-        states = torch.from_numpy(rollout.states.reshape(len(advantages), -1))
-        actions = torch.from_numpy(rollout.actions.reshape(-1))
-        log_probs = torch.from_numpy(rollout.log_probs.reshape(-1))
+        trajectory, ppo = self._trajectory, self._ppo
+        states = torch.from_numpy(trajectory.states.reshape(len(advantages), -1))
+        actions = torch.from_numpy(trajectory.actions.reshape(-1))
+        log_probs = torch.from_numpy(trajectory.log_probs.reshape(-1))
         normal = (advantages - advantages.mean()) / max(float(advantages.std()), ppo.advantage_floor)
         columns = [states, actions, log_probs, torch.from_numpy(normal), torch.from_numpy(returns)]
         columns = [column.to(self._device) for column in columns]
         for _ in range(ppo.epochs):
             order = torch.from_numpy(self._rng.permutation(len(advantages))).to(self._device)
             for rows in torch.split(order, ppo.minibatch):
-                self.attempts.pulse()
+                self.rollout.pulse()
                 self._gradient_step(*(column[rows] for column in columns))
 
     def _gradient_step(

@@ -16,7 +16,7 @@ from t4nmtd_dist.agents.common.exploration import Exploration
 from t4nmtd_dist.agents.common.normalisation import Normalisation
 from t4nmtd_dist.agents.common.peer_values import PeerCritics, Values
 from t4nmtd_dist.agents.common.replay_buffer import Experience
-from t4nmtd_dist.agents.common.rollout import Attempts
+from t4nmtd_dist.agents.common.rollout import Rollout
 from t4nmtd_dist.agents.sac.batches import BatchSource, DrawnBatch, product_states
 from t4nmtd_dist.agents.sac.config import SACConfig
 from t4nmtd_dist.agents.sac.fast_cpu.update import SACUpdater
@@ -29,8 +29,8 @@ from t4nmtd_dist.core.devices import Device
 from t4nmtd_dist.core.state_dict import State
 from t4nmtd_dist.environments.action_spaces import Bounds
 from t4nmtd_dist.environments.batched import Observations
-from t4nmtd_dist.method.high_level import QTable
-from t4nmtd_dist.method.rewards import TARGET_REWARD, SubtaskTables
+from t4nmtd_dist.method.protocol import Method
+from t4nmtd_dist.method.rewards import TARGET_REWARD
 
 BATCHES_AHEAD = 16  # twice what shares a request: the other half is the time that peers have to answer
 
@@ -53,12 +53,11 @@ class SACLearner:
 
     Args:
         pid: the sub-task.
-        attempts: N copies of the environment within attempts.
-        tables: the sub-task, to read experience for any of its DFA states.
+        rollout: N copies of the environment within attempts.
         delta: the DFA's transition table, int32 [Q, symbols].
         config: settings shared by all learners.
         sac: settings of SAC.
-        high_level: a copy of the coordinator's Q table, for E(Q, q').
+        method: the learner's copy of the method, whose upper level the coordinator keeps up to date.
         bounds: lowest and highest actions of the environment, float32 [A] each; the actor's [-1, 1] is scaled to them.
         seed: seeds networks and sampling.
         peers: how many other sub-tasks there are.
@@ -69,12 +68,11 @@ class SACLearner:
     def __init__(
         self,
         pid: str,
-        attempts: Attempts,
-        tables: SubtaskTables,
+        rollout: Rollout,
         delta: NDArray[np.int32],
         config: LearnerConfig,
         sac: SACConfig,
-        high_level: QTable,
+        method: Method,
         *,
         bounds: Bounds,
         seed: int,
@@ -82,18 +80,18 @@ class SACLearner:
         device: Device = "cpu",
         normalised: NDArray[np.bool_] | None = None,
     ) -> None:
-        self.pid, self.attempts = pid, attempts
+        self.pid, self.rollout = pid, rollout
         self._delta, self._sac = delta, sac
         self._rng = np.random.default_rng([seed, 1])
         self._low, self._high = bounds
-        count, self._observation_size = attempts.observations.shape
+        count, self._observation_size = rollout.observations.shape
         action_size = len(self._low)
         size = self._observation_size
         self._normalisation = Normalisation(np.zeros(size, np.bool_) if normalised is None else normalised)
         self.experience = Experience(sac.replay_rows // count, count, self._observation_size, action_size)
         kept_of_each = max(1, self.experience.steps // max(1, peers))  # of all peers together what the own replay holds
-        self.peer_steps = kept_of_each if sac.peer_share else 0
-        self.batches = BatchSource(pid, self.experience, tables, delta, config, sac, high_level, self._rng)
+        self.batches = BatchSource(pid, self.experience, delta, config, sac, method, self._rng)
+        self.peer_steps = kept_of_each if self.batches.reads_peers else 0
         self._exploration = Exploration(sac.exploration, sac.exploration_share, count, action_size, self._rng)
         self._initial_alpha = sac.initial_alpha or modest_alpha(config, action_size)
         settings = SACSettings(
@@ -167,7 +165,7 @@ class SACLearner:
             "optimisers": self.updater.optimiser_state(),
             "experience": self.experience.state_dict(),
             "exploration": self._exploration.state_dict(),
-            "attempts": self.attempts.state_dict(),
+            "attempts": self.rollout.state_dict(),
             "rng": self._rng.bit_generator.state,
             "owed": self._owed,
             "ahead": [vars(drawn) for drawn in self._ahead],
@@ -183,7 +181,7 @@ class SACLearner:
         self.load(state["weights"], state["version"])
         self.updater.load_optimiser_state(state["optimisers"])
         self._exploration.load_state_dict(state["exploration"])
-        self.attempts.load_state_dict(state["attempts"])
+        self.rollout.load_state_dict(state["attempts"])
         self._rng.bit_generator.state = state["rng"]
         self._owed, self._fresh[:] = state["owed"], state["fresh"]
         self._ahead = deque(
@@ -194,7 +192,7 @@ class SACLearner:
 
     def iterate(self, peers: PeerCritics) -> bool:
         """Some steps of all copies and the updates that they call for; False while there is no state to start from."""
-        if not self.attempts.begin():
+        if not self.rollout.begin():
             return False
         for _ in range(self._sac.steps_per_iteration):
             self._step()
@@ -207,13 +205,13 @@ class SACLearner:
         return True
 
     def _step(self) -> None:
-        attempts = self.attempts
-        observations, q = attempts.observations.copy(), attempts.q.copy()
+        rollout = self.rollout
+        observations, q = rollout.observations.copy(), rollout.q.copy()
         self._exploration.begin(self._fresh, self._success())
         self._normalisation.update(observations)
         chosen = self.updater.act(self._states(observations, q), deterministic=False)
         actions = self._exploration.drive(chosen)
-        step = attempts.step(scaled(actions, self._low, self._high))
+        step = rollout.step(scaled(actions, self._low, self._high))
         self.experience.add(
             observations, q, actions, step.symbols, step.next_observations, step.terminated, step.ended, step.reached
         )
@@ -240,7 +238,7 @@ class SACLearner:
 
     def _success(self) -> float:
         """Share of the recent attempts that succeeded; 0 before there are any."""
-        return self.attempts.recent_success or 0.0
+        return self.rollout.statistics.recent_success or 0.0
 
     def _ask(self, peers: PeerCritics) -> None:
         """Ask peers about the batches ahead that they have not been asked about: after a resume about all of them."""

@@ -14,12 +14,12 @@ from t4nmtd_dist.agents.common.normalisation import Normalisation
 from t4nmtd_dist.agents.common.peer_success_replay import ChanceFinds, target_symbols
 from t4nmtd_dist.agents.common.peer_values import Questions, RowNumbers
 from t4nmtd_dist.agents.common.replay_buffer import Experience
+from t4nmtd_dist.agents.common.successors import draw_successors
 from t4nmtd_dist.agents.sac.config import SACConfig
 from t4nmtd_dist.agents.sac.interface import SACBatch
 from t4nmtd_dist.core.config import LearnerConfig
 from t4nmtd_dist.environments.batched import Observations
-from t4nmtd_dist.method.high_level import QTable
-from t4nmtd_dist.method.rewards import SubtaskTables
+from t4nmtd_dist.method.protocol import Method
 
 Floats = NDArray[np.float32]
 States = NDArray[np.int32]
@@ -100,39 +100,40 @@ class BatchSource:
     Args:
         pid: the sub-task.
         experience: the learner's own.
-        tables: the sub-task, to read experience for any of its DFA states.
         delta: the DFA's transition table, int32 [Q, symbols].
         config: settings shared by all learners.
         sac: settings of SAC.
-        high_level: the learner's copy of the coordinator's Q table, for E(Q, q').
+        method: says which rows are read in which DFA states, and whose value they bootstrap from.
         rng: the learner's generator.
 
     Attributes:
         others: the experience of peers by pid; it may hold the own.
-        tables: as given.
-        high_level: as given.
+        tables: of the sub-task.
+        method: as given.
+        reads_peers: whether peers' experience is of use.
     """
 
     def __init__(
         self,
         pid: str,
         experience: Experience,
-        tables: SubtaskTables,
         delta: NDArray[np.int32],
         config: LearnerConfig,
         sac: SACConfig,
-        high_level: QTable,
+        method: Method,
         rng: np.random.Generator,
     ) -> None:
-        self._pid, self._experience, self.high_level, self._rng = pid, experience, high_level, rng
-        self.tables, self._delta, self._config, self._sac = tables, delta, config, sac
-        self._readable = np.flatnonzero(tables.available).astype(np.int32)
+        self._pid, self._experience, self.method, self._rng = pid, experience, method, rng
+        self.tables, self._delta, self._config, self._sac = method.role(pid).tables, delta, config, sac
+        reading = method.reads(pid)
+        self._readable = reading.q
+        self.reads_peers = reading.rows == "all" and sac.peer_share > 0
         self._finds = WeakKeyDictionary[Experience, ChanceFinds]()
         self.others: Mapping[str, Experience] = {}
 
     def peers_experience(self) -> list[Experience]:
         """What is not empty, and there is use for."""
-        if not self._sac.peer_share:
+        if not self.reads_peers:
             return []
         return [experience for pid, experience in self.others.items() if pid != self._pid and len(experience)]
 
@@ -151,7 +152,8 @@ class BatchSource:
         if peers_rows:
             parts.append(self._peers_rows(others, peers_rows, success))
         read = _Reading.joined(parts)
-        asked_rows, asked_pids = self._successors(read)
+        successors = draw_successors(self.method, self._pid, read.boundary, read.q_next, self._rng)
+        read.discounts[successors.without_value] = 0.0
         return DrawnBatch(
             number=number,
             states=read.states,
@@ -159,9 +161,9 @@ class BatchSource:
             rewards=read.rewards,
             discounts=read.discounts,
             next_states=read.next_states,
-            asked_rows=asked_rows,
-            asked_pids=asked_pids,
-            asked_q=read.q_next[asked_rows],
+            asked_rows=successors.rows,
+            asked_pids=successors.pids,
+            asked_q=read.q_next[successors.rows],
         )
 
     def _own_rows(self, size: int) -> _Reading:
@@ -208,10 +210,3 @@ class BatchSource:
             q_next=returns.q_next.astype(np.int32),
             boundary=returns.boundary,
         )
-
-    def _successors(self, read: _Reading) -> tuple[RowNumbers, tuple[str, ...]]:
-        """The rows that hand over to another sub-task, and to which: T' ~ E(Q, q')."""
-        boundary = np.flatnonzero(read.boundary)
-        pids = [self.high_level.choose(q, self._rng) for q in read.q_next[boundary].tolist()]
-        others = [place for place, pid in enumerate(pids) if pid is not None and pid != self._pid]
-        return boundary[others], tuple(str(pids[place]) for place in others)

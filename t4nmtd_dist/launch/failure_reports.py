@@ -1,4 +1,4 @@
-"""How ``t4nmtd train`` tells of workers that died: on its own terminal, and in the run's event log."""
+"""Reports of failed processes go to the terminal, and to the run's event log through its coordinator."""
 
 from __future__ import annotations
 
@@ -13,8 +13,8 @@ from t4nmtd_dist.wire.zmq_types import new_context
 TIMEOUT_S = 2.0
 
 
-class DeathNotices:
-    """Passes on what is known of workers that died.
+class FailureReports:
+    """Passes on what is known of processes that failed.
 
     Args:
         keys: of a coordinator that has keys.
@@ -29,25 +29,24 @@ class DeathNotices:
         self._keys, self._held = keys, held
         self._texts: list[str] = []
 
-    def __call__(self, text: str, deserves_attention: bool) -> None:
-        """Tell it at once: in the event log always, on the terminal if it deserves attention."""
-        if deserves_attention:
+    def __call__(self, text: str, urgent: bool) -> None:
+        """Report at once: to the event log always, to the terminal if it is urgent."""
+        if urgent:
             self._texts.append(text)
         if not self._held:
-            self.print()
+            self._print()
         if self.control:
             context = new_context()
-            with suppress(ConfigError):  # of an endpoint that cannot be connected to, of which others tell
+            with suppress(ConfigError):  # an endpoint that cannot be connected to is reported elsewhere
                 give_notice(context, self.control, self._keys, text, TIMEOUT_S)
             context.term()
 
     def release(self) -> None:
-        """Print what was held, and from now on all at once and nowhere else: the coordinator is about to end."""
+        """Print what was held, and from now on print at once only: the coordinator is about to end."""
         self.control, self._held = "", False
-        self.print()
+        self._print()
 
-    def print(self) -> None:
-        """Print what was not printed yet."""
+    def _print(self) -> None:
         for text in self._texts:
             print(f"t4nmtd: {text}", file=sys.stderr, flush=True)
         self._texts.clear()

@@ -1,37 +1,36 @@
-"""What a training command is asked to do: begin a run, or go on with one."""
+"""From options to a plan: begin a new run, or resume a stopped one."""
 
 from __future__ import annotations
 
 import dataclasses
-import sys
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from t4nmtd_dist.core.config import TaskConfig, task_config
 from t4nmtd_dist.core.errors import ConfigError, RunError
 from t4nmtd_dist.core.setting_sources import merge, read_toml, settings_from_flags
 from t4nmtd_dist.environments.trust import remember_own, require_trust
-from t4nmtd_dist.runs.directory import default_run_directory
+from t4nmtd_dist.runs.directory import default_run_directory, real_path
 from t4nmtd_dist.runs.event_files import check_tensorboard
+from t4nmtd_dist.runs.options import RunOptions
 from t4nmtd_dist.runs.resuming import Identity, StoppedRun, new_identity, read_stopped_run
 from t4nmtd_dist.tasks import load_task
 
-if TYPE_CHECKING:
-    from t4nmtd_dist.cli.options import RunOptions
+Warn = Callable[[str], object]
 
 
 @dataclass(frozen=True)
 class RunPlan:
-    """One run, to be begun or gone on with.
+    """One run, to be begun or resumed.
 
     Attributes:
         config: all settings.
         seed: of networks, exploration and environments.
         directory: its folder.
         identity: what stays the same however often it is resumed.
-        stopped: the run to go on with, if any.
+        stopped: the run to resume, if any.
     """
 
     config: TaskConfig
@@ -42,7 +41,7 @@ class RunPlan:
 
     @property
     def resumes(self) -> bool:
-        """Whether it goes on with a stopped run."""
+        """Whether it resumes a stopped run."""
         return self.stopped is not None
 
     @property
@@ -53,8 +52,13 @@ class RunPlan:
         return f"the run in {self.directory} has solved {self.config.name} already: there is nothing to go on with"
 
 
-def plan_run(options: RunOptions, *, serial: bool = False) -> RunPlan:
+def plan_run(options: RunOptions, *, serial: bool = False, warn: Warn = print) -> RunPlan:
     """What the options ask for.
+
+    Args:
+        options: as the user gave them.
+        serial: whether all roles share one process, in lock-step.
+        warn: called with a line about what is damaged in the run to resume and can be done without.
 
     Raises:
         ConfigError: if they contradict each other or the run that is to be resumed; see also ``load_task``.
@@ -65,7 +69,7 @@ def plan_run(options: RunOptions, *, serial: bool = False) -> RunPlan:
     if not options.checkpoint_every > 0:
         raise ConfigError(f"--checkpoint-every {options.checkpoint_every}: expected seconds above 0")
     if options.resume is not None:
-        return _resumed(options, options.resume, serial)
+        return _resumed(options, options.resume, serial, warn)
     if not options.task:
         raise ConfigError("expected --task NAME for a new run, or --resume RUN to go on with one")
     config = load_task(options.task, configs=options.config, flags=_flags(options))
@@ -73,7 +77,7 @@ def plan_run(options: RunOptions, *, serial: bool = False) -> RunPlan:
     if seed < 0:
         raise ConfigError(f"--seed {seed}: expected 0 or more")
     remember_own(config.environment)
-    directory = options.run_dir or default_run_directory(config.name, seed)
+    directory = real_path(options.run_dir or default_run_directory(config.name, seed))
     return RunPlan(config, seed, directory, new_identity(serial=serial))
 
 
@@ -82,10 +86,10 @@ def _flags(options: RunOptions) -> list[str]:
     return [*options.set, *([] if budget is None else [f"max_interactions={budget}"])]
 
 
-def _resumed(options: RunOptions, run: Path, serial: bool) -> RunPlan:
+def _resumed(options: RunOptions, run: Path, serial: bool, warn: Warn) -> RunPlan:
     stopped = read_stopped_run(run)
     for text in stopped.warnings:
-        print(f"warning: {text}", file=sys.stderr)
+        warn(text)
     _check_same_run(options, stopped, serial)
     config = _check_same_settings(options, stopped)
     if stopped.outcome == "budget spent" and config.max_interactions <= stopped.interactions:
