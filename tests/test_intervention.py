@@ -16,9 +16,9 @@ from routers import receive_from
 from small_sac import PIDS, START, TO_G2, TO_G3, small_sac
 from small_tasks import small_learner
 
+from t4nmtd_dist.agents.common.off_policy import OffPolicyLearner
 from t4nmtd_dist.agents.common.peer_values import LocalPeers, MixedPeers, NoPeers, PeerCritics, PeerValues, Questions
 from t4nmtd_dist.agents.ppo.agent import PPOLearner
-from t4nmtd_dist.agents.common.off_policy import OffPolicyLearner
 from t4nmtd_dist.wire.codec import Envelope
 from t4nmtd_dist.wire.messages import (
     Failure,

@@ -31,6 +31,9 @@ from t4nmtd_dist.policy.one_thread import one_torch_thread
 
 FLATTEN = "flatten observations that are one-hot or a Dict by t4nmtd_dist.environments.observations.flattener"
 
+TRAINING_KEYS = {"max_interactions", "decomposition", "high_level", "evaluation", *AGENTS.modules}
+ACTING_LEARNER_KEYS = {"algorithm", "gamma", "hidden", "normalise_observations"}
+
 ActorWeights = Mapping[str, Mapping[str, NDArray[Any]]]
 
 
@@ -281,8 +284,9 @@ def _restored(data: Mapping[str, Any], actors: ActorWeights, folder: Path, seed:
 
 
 def _acting_settings(task: Mapping[str, Any]) -> dict[str, Any]:
-    """A task's settings without the sections of agents, which say how to train and change between versions."""
-    return {key: value for key, value in task.items() if key not in AGENTS.modules}
+    """A task's settings without those that say how to train, which change between versions."""
+    learner = {key: value for key, value in task["learner"].items() if key in ACTING_LEARNER_KEYS}
+    return {key: value for key, value in task.items() if key not in TRAINING_KEYS} | {"learner": learner}
 
 
 def _read(path: Path) -> tuple[Path, Any, dict[str, NDArray[Any]]]:
