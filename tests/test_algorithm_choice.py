@@ -112,6 +112,7 @@ def train(*arguments: str) -> int:
     return subprocess.run(command, capture_output=True, text=True, timeout=90).returncode
 
 
+@pytest.mark.process
 def test_a_run_writes_down_what_was_chosen_and_goes_on_with_it(tmp_path: Path) -> None:
     path, run = own_task(tmp_path, PUSHED), tmp_path / "run"
     flags = ("--set", "learner.hidden=[8]", "--max-interactions", "200")
@@ -123,6 +124,7 @@ def test_a_run_writes_down_what_was_chosen_and_goes_on_with_it(tmp_path: Path) -
     assert tomllib.loads((run / "config.toml").read_text(encoding="utf-8"))["learner"] == written
 
 
+@pytest.mark.process
 def test_runs_of_before_there_was_normalisation_go_on_without(tmp_path: Path) -> None:
     path, run = own_task(tmp_path, PUSHED), tmp_path / "run"
     flags = ("--set", "learner.hidden=[8]", "--set", "learner.normalise_observations=off", "--max-interactions", "200")

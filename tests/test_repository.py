@@ -169,6 +169,7 @@ def test_a_broken_import_contract_is_noticed(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("program", PROGRAMS)
+@pytest.mark.process
 def test_help_imports_nothing_heavy(program: str) -> None:
     code = f"""
 import sys
@@ -197,6 +198,7 @@ def seconds(*command: str) -> float:
 @pytest.mark.parametrize(
     ("program", "verb"), [*((program, ()) for program in PROGRAMS), ("t4nmtd", ("train",)), ("t4nmtd", ("inspect",))]
 )
+@pytest.mark.process
 def test_help_comes_at_once(program: str, verb: tuple[str, ...]) -> None:
     script = Path(sys.executable).with_name(program)
     if not script.exists():
