@@ -139,8 +139,8 @@ def _walk(env: SingleEnv, seed: int, steps: int) -> NDArray[np.float32]:
     return observation
 
 
-def _course(env: SingleEnv, actions: Sequence[Any], rng: int) -> list[SingleStep]:
-    env.reseed(rng)
+def _course(env: SingleEnv, actions: Sequence[Any], seed: int) -> list[SingleStep]:
+    env.reseed(seed)
     steps: list[SingleStep] = []
     for action in actions:
         steps.append(env.step(action))
