@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from t4nmtd_dist.agents.ppo.agent import PPOLearner
 from t4nmtd_dist.agents.registry import build_learner
 from t4nmtd_dist.core.config import TaskConfig
-from t4nmtd_dist.environments.batched import make_env
+from t4nmtd_dist.environments.make_env import make_env
 from t4nmtd_dist.method.compiled import CompiledTask, compile_task
 from t4nmtd_dist.method.start_states import InitialStateBuffer
 from t4nmtd_dist.tasks import load_task
