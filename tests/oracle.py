@@ -325,11 +325,15 @@ def main() -> int:
     """Record, or compare the trainings with a recording."""
     parser = argparse.ArgumentParser(description="Records what later commits are held against, or compares with it.")
     parser.add_argument("--record", action="store_true", help="compute everything and write it down")
+    parser.add_argument("--record-wire", action="store_true", help="write down the bytes of messages only")
     parser.add_argument("--into", type=Path, default=RECORDED, help="the folder to record into")
     parser.add_argument("--against", type=Path, default=RECORDED, help="the folder to compare with")
     given = parser.parse_args()
     if given.record:
         record(given.into)
+        return 0
+    if given.record_wire:
+        _dump(given.into / "wire.json", wire_frames())
         return 0
     found = compare(given.against)
     print("\n".join(found) or "no difference")

@@ -17,7 +17,8 @@ from small_tasks import CARRYING_2, START, small_learner, small_task
 from t4nmtd_dist.agents.sac.fast_cpu import forward
 from t4nmtd_dist.core.errors import PolicyError
 from t4nmtd_dist.policy.export import POLICY_FILE, export_policy
-from t4nmtd_dist.policy.global_policy import GlobalPolicy, load
+from t4nmtd_dist.policy.global_policy import GlobalPolicy
+from t4nmtd_dist.policy.loading import load
 
 PROBABILITIES = (0.6, 0.3, 0.1, 0.0, 0.0, 0.0)
 LAKE = np.zeros(83, np.float32)
@@ -38,13 +39,13 @@ def lottery() -> dict[str, NDArray[np.float32]]:
 def lake_policy(**options: Any) -> GlobalPolicy:
     task = small_task()
     actors = {pid: lottery() for pid in task.decomposition.pids}
-    return GlobalPolicy(task.config, task.dfa, task.decomposition, [(START, "p2", 1.0)], actors, task.rho, **options)
+    return GlobalPolicy(task, [(START, "p2", 1.0)], actors, **options)
 
 
 def car_policy(**options: Any) -> GlobalPolicy:
     task = small_sac_task()
     actors = {pid: small_sac(pid).weights() for pid in ("g1", "g2")}
-    return GlobalPolicy(task.config, task.dfa, task.decomposition, [], actors, task.rho, **options)
+    return GlobalPolicy(task, [], actors, **options)
 
 
 def car_observation() -> NDArray[np.float32]:

@@ -5,7 +5,6 @@ from __future__ import annotations
 import functools
 import re
 import time
-from collections.abc import Iterator
 from pathlib import Path
 
 import attacks
@@ -22,13 +21,6 @@ SOLVE_S = 240.0
 SETTLE_S = 10.0
 GROWTH = 1.2
 SHARES = {"control": 0.6, "critics": 0.3, "state": 0.1}
-
-
-@pytest.fixture
-def processes(tmp_path: Path) -> Iterator[Processes]:
-    started = Processes(tmp_path)
-    yield started
-    started.end()
 
 
 def busy(state: DashboardState) -> bool:

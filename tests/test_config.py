@@ -78,6 +78,20 @@ def test_an_unknown_key_is_named_with_the_nearest_known_one(flag: str, names: tu
     assert all(name in str(refusal.value) for name in names)
 
 
+@pytest.mark.parametrize(
+    ("flag", "instead"),
+    [
+        ("sac.worlds=3", "sac.num_envs"),
+        ("ppo.worlds=3", "ppo.num_envs"),
+        ("sac.wave_share=0.1", "sac.exploration_share"),
+        ("sac.hold_share=0.1", "sac.exploration_share"),
+    ],
+)
+def test_a_key_of_an_earlier_version_is_refused_with_what_to_use_instead(flag: str, instead: str) -> None:
+    with pytest.raises(ConfigError, match=rf"'{flag.partition('=')[0]}' was a key of an earlier version: .*{instead}"):
+        load_task("task7", flags=[flag])
+
+
 def test_options_of_the_environment_are_its_own_business() -> None:
     assert load_task("task7", flags=["environment.options.anything=1"]).environment.options["anything"] == 1
 

@@ -10,7 +10,6 @@ import subprocess
 import sys
 import threading
 import time
-from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -28,7 +27,7 @@ from coordinator.saved_state import saved_state
 from t4nmtd_dist import policy
 from t4nmtd_dist.core.errors import PolicyError
 from t4nmtd_dist.policy.export import POLICY_FILE, export_policy
-from t4nmtd_dist.policy.global_policy import load
+from t4nmtd_dist.policy.loading import load
 from t4nmtd_dist.runs.checkpoints import write_checkpoint
 from t4nmtd_dist.runs.directory import RunDirectory
 
@@ -43,6 +42,7 @@ def about(run: Path) -> dict[str, Any]:
 # Without torch
 
 
+@pytest.mark.process
 def test_a_coordinator_exports_and_reads_policies_without_torch() -> None:
     code = "import sys, t4nmtd_dist.policy.export; assert not {'torch', 'gymnasium'} & set(sys.modules)"
     subprocess.run([sys.executable, "-c", code], check=True)
@@ -238,13 +238,6 @@ def test_an_exported_policy_that_cannot_be_read_is_told_of_and_not_kept(
 
 
 # A run of processes
-
-
-@pytest.fixture
-def processes(tmp_path: Path) -> Iterator[Processes]:
-    started = Processes(tmp_path)
-    yield started
-    started.end()
 
 
 @pytest.mark.timeout(120)

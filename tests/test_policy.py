@@ -21,7 +21,8 @@ from t4nmtd_dist.agents.common.product_states import product_states
 from t4nmtd_dist.agents.ppo.agent import PPOLearner
 from t4nmtd_dist.core.errors import PolicyError
 from t4nmtd_dist.policy.export import ACTORS_FILE, POLICY_FILE, export_policy
-from t4nmtd_dist.policy.global_policy import GlobalPolicy, load
+from t4nmtd_dist.policy.global_policy import GlobalPolicy
+from t4nmtd_dist.policy.loading import load
 
 Q_TABLE = [(START, "p2", 5.0), (START, "p1", 1.0), (CARRYING_2, "g", 9.0), (CARRYING_2, "p1", 2.0)]
 PIDS = ("g", "p1", "p2", "p3")
@@ -78,9 +79,7 @@ def test_the_greedy_subtask_of_every_state_acts(exported: Path) -> None:
 
 def test_a_subtask_without_an_actor_is_not_chosen(learners: dict[str, PPOLearner]) -> None:
     task = small_task()
-    policy = GlobalPolicy(
-        task.config, task.dfa, task.decomposition, Q_TABLE, {"p1": learners["p1"].weights()}, task.rho
-    )
+    policy = GlobalPolicy(task, Q_TABLE, {"p1": learners["p1"].weights()})
     assert policy.subtask_of == {START: "p1", CARRYING_2: "p1", 4: "p1"}
 
 

@@ -29,13 +29,6 @@ END_S = 5.0
 SOLVE_S = 200.0
 
 
-@pytest.fixture
-def processes(tmp_path: Path) -> Iterator[Processes]:
-    started = Processes(tmp_path)
-    yield started
-    started.end()
-
-
 @pytest.fixture(scope="module")
 def bare_start_s() -> float:
     """What starting an interpreter with torch takes on this machine now."""

@@ -8,7 +8,6 @@ import os
 import re
 import signal
 import time
-from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -22,13 +21,6 @@ PATIENCE_S = 200.0
 SLOW_S = 5.0  # less than a lease, within which a learner must be heard
 OFTEN = ("--checkpoint-every", "1")
 SUBTASKS = ("p1", "p2", "p3", "g")
-
-
-@pytest.fixture
-def processes(tmp_path: Path) -> Iterator[Processes]:
-    started = Processes(tmp_path)
-    yield started
-    started.end()
 
 
 def train(processes: Processes, run: Path, *arguments: str) -> Started:

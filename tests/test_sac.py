@@ -39,7 +39,8 @@ from t4nmtd_dist.agents.sac.updater import PeerSoftValues
 @pytest.mark.parametrize(("name", "pid", "bound"), [("task5", "g1", 1.0), ("task1", "red", 3.5)])
 @pytest.mark.parametrize("share", [0.0, 1.0])
 def test_actions_are_within_the_bounds_and_use_all_of_them(name: str, pid: str, bound: float, share: float) -> None:
-    learner = small_sac(pid, f"sac.wave_share={share}", "sac.hold_share=0", "sac.learning_starts=400", name=name)
+    flags = ("sac.exploration=sinusoid", f"sac.exploration_share={share}", "sac.learning_starts=400")
+    learner = small_sac(pid, *flags, name=name)
     taken, step = [], learner.rollout.step
     learner.rollout.step = lambda actions: (taken.append(actions.copy()), step(actions))[1]  # type: ignore
     for _ in range(5):

@@ -32,7 +32,8 @@ from t4nmtd_dist.launch.serial import SerialRun
 from t4nmtd_dist.method.compiled import CompiledTask, compile_task
 from t4nmtd_dist.method.start_states import InitialStateBuffer
 from t4nmtd_dist.policy.export import export_policy
-from t4nmtd_dist.policy.global_policy import GlobalPolicy, load
+from t4nmtd_dist.policy.global_policy import GlobalPolicy
+from t4nmtd_dist.policy.loading import load
 from t4nmtd_dist.tasks import load_task
 
 SERIAL = (
@@ -143,8 +144,7 @@ def test_actions_of_a_policy_are_stretched_to_its_action_space() -> None:
     weights = learner.weights()
     weights["average.head.weight"][:] *= 300
     learner.load(weights, 1)
-    config = (task.config, task.dfa, task.decomposition, [(0, "red", 1.0)])
-    policy = GlobalPolicy(*config, {"red": weights}, task.rho)
+    policy = GlobalPolicy(task, [(0, "red", 1.0)], {"red": weights})
     observations = np.random.default_rng(0).uniform(-1, 1, (50, learner.rollout.observations.shape[1]))
     observations = observations.astype(np.float32)
     states = product_states(observations, np.zeros(50, np.int32), task.dfa.states)

@@ -25,13 +25,6 @@ SUBTASKS = ("p1", "p2", "p3", "g")
 
 
 @pytest.fixture
-def processes(tmp_path: Path) -> Iterator[Processes]:
-    started = Processes(tmp_path)
-    yield started
-    started.end()
-
-
-@pytest.fixture
 def keys(tmp_path: Path) -> Path:
     folder = tmp_path / "keys"
     make_coordinator_folder(folder, clients=2)

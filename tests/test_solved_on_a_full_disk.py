@@ -171,13 +171,6 @@ def test_an_unsolved_run_does_not_wait_and_keeps_its_last_checkpoint(tmp_path: P
     assert (run.directory.checkpoints / "coordinator" / "000001").exists()
 
 
-@pytest.fixture
-def processes(tmp_path: Path) -> Iterator[Processes]:
-    started = Processes(tmp_path)
-    yield started
-    started.end()
-
-
 def test_a_serial_run_that_was_solved_is_resumed_to_write_its_result(tmp_path: Path) -> None:
     task = small_task()
     serial = SerialRun(task, RunSettings(0, 10**6, lease_s=float("inf")), lambda: 0.0)

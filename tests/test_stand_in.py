@@ -369,7 +369,7 @@ def test_an_evaluation_step_by_step_is_the_same_as_at_once() -> None:
         pid: build_learner(task, pid, InitialStateBuffer(10), task.method(), seed=0) for pid in task.decomposition.pids
     }
     actors = {pid: acting_parameters(learner.weights()) for pid, learner in learners.items()}
-    policy = GlobalPolicy(task.config, task.dfa, task.decomposition, [(0, "p1", 1.0)], actors, task.rho)
+    policy = GlobalPolicy(task, [(0, "p1", 1.0)], actors)
     at_once, in_steps = (Evaluator(policy, 4, seed=3) for _ in range(2))
     expected = at_once.run(policy, perturb=2)
     results = []

@@ -8,7 +8,6 @@ from typing import Annotated, Literal
 
 import tyro
 
-from t4nmtd_dist.cli.completion import Completion
 from t4nmtd_dist.cli.key_commands import Keys
 from t4nmtd_dist.cli.options import RunFlags
 from t4nmtd_dist.core.action_modes import ActionMode
@@ -104,6 +103,8 @@ class Inspect:
     """Print every state and transition, however many there are."""
     svg: Path | None = None
     """Also draw the automaton into this file."""
+    seed: int = 0
+    """Seed of the run, which decides how decomposition.mode=random deals the transitions."""
     translator: Literal["auto", "mona", "python"] = "auto"
     """How the formula becomes an automaton."""
     set: Annotated[list[str], tyro.conf.UseAppendAction, tyro.conf.arg(metavar="KEY=VALUE")] = field(
@@ -135,7 +136,32 @@ class Inspect:
             as_json=self.as_json,
             svg=self.svg,
             summary=summary,
+            seed=self.seed,
         )
+        return 0
+
+
+@dataclass(frozen=True)
+class Config:
+    """Print the settings of a task as TOML, each with where it comes from; --config reads them back."""
+
+    task: str
+    """Name of a task, or the path of a task file."""
+    config: Annotated[list[Path], tyro.conf.UseAppendAction] = field(default_factory=list)
+    """TOML file laid over the task file; may be repeated."""
+    set: Annotated[list[str], tyro.conf.UseAppendAction, tyro.conf.arg(metavar="KEY=VALUE")] = field(
+        default_factory=list
+    )
+    """One setting, such as learner.gamma=0.98; may be repeated."""
+
+    def run(self) -> int:
+        """Print."""
+        from t4nmtd_dist.cli.show_config import settings_text
+        from t4nmtd_dist.tasks import from_layers, task_file
+        from t4nmtd_dist.tasks.layers import setting_layers
+
+        layers = setting_layers(task_file(self.task), self.config, self.set)
+        print(settings_text(from_layers(self.task, layers), layers), end="")
         return 0
 
 
@@ -305,4 +331,41 @@ class Doctor:
         return examine(complete_endpoint(self.connect, CONTROL_PORT), self.keys, self.wait)
 
 
-Command = Train | Evaluate | Record | Plot | Inspect | Check | Tasks | Dashboard | Keys | Status | Doctor | Completion
+@dataclass(frozen=True)
+class Completion:
+    """Print a script that teaches a shell to complete commands; start a new shell after installing it.
+
+    bash: t4nmtd completion bash > ~/.local/share/bash-completion/completions/t4nmtd
+
+    zsh: t4nmtd completion zsh > ~/.zfunc/_t4nmtd (with fpath+=~/.zfunc before compinit in ~/.zshrc)
+
+    fish: t4nmtd completion fish > ~/.config/fish/completions/t4nmtd.fish
+    """
+
+    shell: Annotated[Literal["bash", "zsh", "fish"], tyro.conf.Positional]
+    """The shell."""
+    program: Literal["t4nmtd", "t4nmtd-coordinator", "t4nmtd-worker"] = "t4nmtd"
+    """The command to be completed; name the file after it."""
+
+    def run(self) -> int:
+        """Print."""
+        from t4nmtd_dist.cli.completion import print_completion
+
+        return print_completion(self.shell, self.program, verbs=Command)
+
+
+Command = (
+    Train
+    | Evaluate
+    | Record
+    | Plot
+    | Inspect
+    | Config
+    | Check
+    | Tasks
+    | Dashboard
+    | Keys
+    | Status
+    | Doctor
+    | Completion
+)

@@ -65,6 +65,7 @@ def run_inspect(
     as_json: bool = False,
     svg: Path | None = None,
     summary: bool | None = None,
+    seed: int = 0,
 ) -> None:
     """Translate a task's formula and show what becomes of it.
 
@@ -75,6 +76,7 @@ def run_inspect(
         as_json: print the inspection as one JSON object in place of the page.
         svg: write a picture of the automaton to this file.
         summary: print the summary in place of the page; None for automata of more than 60 states.
+        seed: of the random decomposition, as of a run; the other modes do not use it.
 
     Raises:
         T4NMTDError: if the formula, the settings or the file cannot be used, or the time is up.
@@ -83,7 +85,7 @@ def run_inspect(
     deadline = Deadline.after(settings.time_limit)
     formula = translate(task.formula, propositions=task.propositions, translator=translator, deadline=deadline)
     dfa, acceptance = task_automaton(formula, task.acceptance, task.exclusive)
-    decomposition = decomposed(task, dfa, deadline=deadline)
+    decomposition = decomposed(task, dfa, seed=seed, deadline=deadline)
     found = inspection(
         dfa,
         exclusive=task.exclusive,

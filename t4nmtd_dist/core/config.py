@@ -187,7 +187,6 @@ class TaskConfig:
         check_ranges(self)
         METHODS.check(self.learner.method, "learner.method")
         check_algorithm(self.learner.algorithm)
-        METHODS.check(self.learner.method, "learner.method")
         for name, section in self.agents.items():
             check_ranges(section, name)
             agent_settings(name).check(section, self.learner)

@@ -8,7 +8,8 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from t4nmtd_dist.policy.global_policy import GlobalPolicy, load
+    from t4nmtd_dist.policy.global_policy import GlobalPolicy
+    from t4nmtd_dist.policy.loading import load
 
 __all__ = ["GlobalPolicy", "load"]
 
@@ -16,9 +17,9 @@ __all__ = ["GlobalPolicy", "load"]
 def __getattr__(name: str) -> object:
     if name not in __all__:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-    from t4nmtd_dist.policy import global_policy
+    from t4nmtd_dist.policy import loading
 
-    return getattr(global_policy, name)
+    return getattr(loading, name)
 
 
 def __dir__() -> list[str]:

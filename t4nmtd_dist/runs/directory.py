@@ -32,6 +32,8 @@ CHECKPOINTS_FOLDER = "checkpoints"
 LOCK_FILE = ".lock"
 VERSIONS_FILE = "versions.json"
 EVENTS_FILE = "events.jsonl"
+RUN_FORMAT = 2
+"""Of settings, counts and checkpoints together; a run of another format cannot be resumed. 1 was version 0.1.0."""
 ROUNDING_S = 0.001  # of times in the metrics
 LOCK_TRIES, LOCK_PAUSE_S = 5, 0.02
 FILES = {CONFIG_FILE, SUMMARY_FILE, ENDPOINTS_FILE, LOCK_FILE, VERSIONS_FILE, EVENTS_FILE, RESERVE_FILE}
@@ -195,7 +197,7 @@ class RunDirectory:
 
     def write_settings(self, config: TaskConfig, seed: int, max_interactions: int) -> None:
         """Resolved settings and the versions of everything that computes."""
-        run = {"seed": seed, "max_interactions": max_interactions}
+        run = {"run_format": RUN_FORMAT, "seed": seed, "max_interactions": max_interactions}
         settings = {key: value for key, value in config.to_dict().items() if key != "max_interactions"}
         write_atomically(self.path / CONFIG_FILE, tomli_w.dumps({**settings, **run}))
         write_atomically(self.path / VERSIONS_FILE, json.dumps(versions(), indent=1))

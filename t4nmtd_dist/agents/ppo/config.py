@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 from t4nmtd_dist.core.setting_types import Count, Positive, Share
@@ -40,3 +41,4 @@ class PPOConfig:
 CONFIG = PPOConfig
 ACTIONS = "discrete"
 EXPLORATION = ("ppo.entropy_coefficient",)
+FORMER_KEYS: Mapping[str, str] = {"worlds": "it is called 'ppo.num_envs' now"}

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from t4nmtd_dist.agents.common.action_bounds import scaled
 from t4nmtd_dist.agents.common.batches import Batch
 from t4nmtd_dist.agents.common.context import AgentContext
-from t4nmtd_dist.agents.common.exploration import HeldActionExploration, SinusoidExploration
+from t4nmtd_dist.agents.common.exploration import Exploration
 from t4nmtd_dist.agents.common.off_policy import OffPolicyLearner
 from t4nmtd_dist.agents.common.peer_values import PeerValues, Values
 from t4nmtd_dist.agents.sac.config import SACConfig
@@ -70,8 +70,7 @@ class SAC:
         self._low, self._high = context.action_bounds()
         self.action_size = len(self._low)
         count = len(context.rollout.observations)
-        self._waves = SinusoidExploration(count, self.action_size, config.wave_share, rng)
-        self._holds = HeldActionExploration(count, self.action_size, config.hold_share, rng)
+        self._exploration = Exploration(config.exploration, config.exploration_share, count, self.action_size, rng)
         self._initial_alpha = config.initial_alpha or modest_alpha(context.settings, self.action_size)
         settings = SACSettings(
             learning_rate=config.learning_rate,
@@ -87,10 +86,8 @@ class SAC:
 
     def act(self, states: Floats, begun: NDArray[np.bool_], success: float) -> Floats:
         """See ``OffPolicyAgent.act``; actions within [-1, 1]."""
-        self._waves.begin(begun, success)
-        self._holds.begin(begun, success)
-        chosen = self.updater.act(states, deterministic=False)
-        return self._waves.drive(self._holds.drive(chosen))
+        self._exploration.begin(begun, success)
+        return self._exploration.drive(self.updater.act(states, deterministic=False))
 
     def environment_actions(self, actions: Floats) -> Floats:
         """See ``OffPolicyAgent.environment_actions``."""
@@ -138,8 +135,7 @@ class SAC:
         return {
             "weights": self.updater.weights(),
             "optimisers": self.updater.optimiser_state(),
-            "waves": self._waves.state_dict(),
-            "holds": self._holds.state_dict(),
+            "exploration": self._exploration.state_dict(),
             "losses": self.losses(),
         }
 
@@ -147,6 +143,5 @@ class SAC:
         """See ``OffPolicyAgent.load_state_dict``."""
         self.updater.load(state["weights"])
         self.updater.load_optimiser_state(state["optimisers"])
-        self._waves.load_state_dict(state["waves"])
-        self._holds.load_state_dict(state["holds"])
+        self._exploration.load_state_dict(state["exploration"])
         self._earlier_losses = tuple(state["losses"])

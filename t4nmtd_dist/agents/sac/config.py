@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Literal
 
 from t4nmtd_dist.core.config import LearnerConfig
 from t4nmtd_dist.core.errors import ConfigError
@@ -27,9 +27,10 @@ class SACConfig:
             transition, often the row's own among them (exact relabelling).
         peer_share: share of a batch from the experience of peers, read as the sub-task's own (docs/decisions/016).
         success_share: share of a batch from the last steps before past successes.
-        wave_share: share of the attempts of a learner without success that are driven by sinusoids.
-        hold_share: share of the attempts of a learner without success in which random actions interrupt the policy,
-            each held for some steps.
+        exploration: ``held`` lets random actions interrupt the policy, each for some steps; ``sinusoid`` drives whole
+            attempts by sinusoids; ``held+sinusoid`` does both, ``none`` neither (docs/decisions/014).
+        exploration_share: share of the attempts of a learner without success in which each of the chosen kinds acts;
+            it falls to 0 with the square of the share of attempts that fail.
         learning_rate_decay: share of the learning rate that is gone once every attempt succeeds; it goes with the
             square of the share of attempts that do.
         initial_alpha: entropy coefficient at the start, tuned from there; 0 for the one with which acting at random
@@ -52,8 +53,8 @@ class SACConfig:
     relabel_share: Share = 0.5
     peer_share: Share = 0.5
     success_share: Share = 0.25
-    wave_share: Share = 0.25
-    hold_share: Share = 0.25
+    exploration: Literal["held+sinusoid", "held", "sinusoid", "none"] = "held+sinusoid"
+    exploration_share: Share = 0.25
     learning_rate: Positive = 3e-4
     learning_rate_decay: Share = 0.0
     initial_alpha: NotNegative = 0.0
@@ -65,7 +66,7 @@ class SACConfig:
 
 CONFIG = SACConfig
 ACTIONS = "continuous"
-EXPLORATION = ("sac.hold_share", "sac.wave_share")
+EXPLORATION = ("sac.exploration_share",)
 LEARNER_DEFAULTS: Mapping[str, Any] = {
     "gamma": 0.98,
     "shaping": "subtask",
@@ -74,6 +75,11 @@ LEARNER_DEFAULTS: Mapping[str, Any] = {
     "hidden": [128, 128],
 }
 """Measured in docs/decisions/014."""
+FORMER_KEYS: Mapping[str, str] = {
+    "worlds": "it is called 'sac.num_envs' now",
+    "wave_share": 'use sac.exploration = "sinusoid" or "held+sinusoid" with \'sac.exploration_share\'',
+    "hold_share": 'use sac.exploration = "held" or "held+sinusoid" with \'sac.exploration_share\'',
+}
 
 
 def check(config: SACConfig, learner: LearnerConfig) -> None:

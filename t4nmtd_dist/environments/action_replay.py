@@ -13,10 +13,10 @@ from t4nmtd_dist.environments.observations import Flattener, Vector
 from t4nmtd_dist.environments.serialization import padded, reseed, unpadded
 
 
-class Replay:
+class ActionReplay:
     """A seed and the actions since: restoring resets the environment and acts again.
 
-    Episodes are cut after ``horizon`` steps, which keeps snapshots of one size. New rng are part of the record.
+    Episodes are cut after ``horizon`` steps, which keeps snapshots of one size. Reseeding is part of the record.
 
     Attributes:
         replayed: steps that restoring has taken; they count as interactions.
@@ -25,10 +25,10 @@ class Replay:
     def __init__(self, env: Any, flattener: Flattener, horizon: int) -> None:
         self._env, self._flattener, self._horizon = env, flattener, horizon
         space = env.action_space
-        self._record = np.dtype([("rng", "<u4"), ("action", space.dtype.newbyteorder("<"), space.shape)])
+        self._record = np.dtype([("seed", "<u4"), ("action", space.dtype.newbyteorder("<"), space.shape)])
         self._seeds = np.random.default_rng(0)
         self._history: list[tuple[int, Any]] = []
-        self._seed = self._rng = 0
+        self._seed = self._reseeded = 0
         self.replayed = 0
         self._observation = self._flattener.flatten(self.reset(0))
 
@@ -37,13 +37,13 @@ class Replay:
         if seed is not None:
             self._seeds = np.random.default_rng(seed)
         self._seed = int(self._seeds.integers(2**31)) if seed is None else seed
-        self._history, self._rng = [], 0
+        self._history, self._reseeded = [], 0
         return self._env.reset(seed=self._seed)[0]
 
     def acted(self, action: Any, observation: Vector) -> bool:
         """See ``Snapshots.acted``."""
-        self._history.append((self._rng, action))
-        self._rng = 0
+        self._history.append((self._reseeded, action))
+        self._reseeded = 0
         return len(self._history) >= self._horizon
 
     def get(self) -> NDArray[np.uint8]:
@@ -59,9 +59,9 @@ class Replay:
         except ValueError as error:
             raise EnvError(f"no snapshot of {self._env}: {error}") from None
         observation = self.reset(int.from_bytes(data[:8], "little"))
-        for rng, action in history:
-            if rng:
-                self._throw(int(rng))
+        for seed, action in history:
+            if seed:
+                self._reseed(int(seed))
             observation = self._env.step(action if self._env.action_space.shape else int(action))[0]
             self.acted(action, self._observation)
         self.replayed += len(history)
@@ -69,18 +69,18 @@ class Replay:
 
     def reseed(self, seed: int) -> None:
         """See ``Snapshots.reseed``."""
-        self._throw(seed % (2**32 - 1) + 1)
+        self._reseed(seed % (2**32 - 1) + 1)
 
     def bookkeeping(self) -> State:
-        """Dice thrown since the last step, and where the seeds of resets come from."""
-        return {"rng": self._rng, "seeds": self._seeds.bit_generator.state}
+        """The seed given since the last step, if any, and the generator of the seeds of resets."""
+        return {"rng": self._reseeded, "seeds": self._seeds.bit_generator.state}
 
     def load_bookkeeping(self, state: State) -> None:
         """See ``Snapshots.load_bookkeeping``."""
-        self._rng = state["rng"]
+        self._reseeded = state["rng"]
         self._seeds.bit_generator.state = state["seeds"]
 
-    def _throw(self, rng: int) -> None:
-        """Throw, and write down before the next step that it was done; 0 stands for rng that are left alone."""
-        self._rng = rng
-        reseed(self._env, rng)
+    def _reseed(self, seed: int) -> None:
+        """Reseed, and record it with the next step; 0 in the record means that the generator was left alone."""
+        self._reseeded = seed
+        reseed(self._env, seed)

@@ -1,4 +1,4 @@
-"""Does restoring a snapshot work? Found out by stepping, and the adapter chosen accordingly."""
+"""The choice of the snapshot adapter: the first one that restores exactly, which is tested by stepping."""
 
 from __future__ import annotations
 
@@ -13,28 +13,28 @@ from numpy.typing import NDArray
 from t4nmtd_dist.core.config import EnvironmentConfig
 from t4nmtd_dist.core.errors import EnvError
 from t4nmtd_dist.environments.opening import Env, open_environment
-from t4nmtd_dist.environments.restoring_words import difference, refusal
-from t4nmtd_dist.environments.single_env import CopyStep, EnvironmentCopy
+from t4nmtd_dist.environments.restore_messages import difference, refusal
+from t4nmtd_dist.environments.single_env import SingleEnv, SingleStep
 from t4nmtd_dist.environments.snapshots import ADAPTERS, Adapter, has_own_state, is_mujoco, keeps_contract
 
 TRIALS = 5
 WALKS = (0, 1, 4, 12, 30)  # steps before the snapshot
 STEPS_COMPARED = 12
-ROOM_UNIT = 64
+SIZE_UNIT = 64
 
 
 @dataclass(frozen=True)
-class Choice:
+class AdapterChoice:
     """The adapter that restores exactly.
 
     Attributes:
         adapter: its name.
-        room: bytes to set aside for a snapshot; twice the biggest that was seen.
+        snapshot_bytes: to set aside for a snapshot; twice the biggest that was seen.
         failures: what was tried before, and why it did not do.
     """
 
     adapter: Adapter
-    room: int
+    snapshot_bytes: int
     failures: dict[Adapter, str]
 
 
@@ -47,15 +47,17 @@ def with_snapshots(config: EnvironmentConfig, propositions: Sequence[str]) -> En
     env.close()
     if trusted:
         return dataclasses.replace(config, snapshots="own")
-    return chosen(config, choose_snapshots(config, propositions))
+    return with_choice(config, choose_snapshots(config, propositions))
 
 
-def chosen(config: EnvironmentConfig, choice: Choice) -> EnvironmentConfig:
-    """The settings with the choice written in."""
-    return dataclasses.replace(config, snapshots=choice.adapter, snapshot_bytes=config.snapshot_bytes or choice.room)
+def with_choice(config: EnvironmentConfig, choice: AdapterChoice) -> EnvironmentConfig:
+    """The settings with an adapter that was chosen."""
+    return dataclasses.replace(
+        config, snapshots=choice.adapter, snapshot_bytes=config.snapshot_bytes or choice.snapshot_bytes
+    )
 
 
-def choose_snapshots(config: EnvironmentConfig, propositions: Sequence[str], *, trials: int = TRIALS) -> Choice:
+def choose_snapshots(config: EnvironmentConfig, propositions: Sequence[str], *, trials: int = TRIALS) -> AdapterChoice:
     """The first adapter that restores exactly.
 
     Raises:
@@ -65,13 +67,13 @@ def choose_snapshots(config: EnvironmentConfig, propositions: Sequence[str], *, 
     wanted = _candidates(open_environment(config)) if config.snapshots == "auto" else (config.snapshots,)
     for adapter in wanted:
         try:
-            room = check_restoring(dataclasses.replace(config, snapshots=adapter), propositions, trials=trials)
-        except InexactError as error:
+            size = check_restore(dataclasses.replace(config, snapshots=adapter), propositions, trials=trials)
+        except InexactRestoreError as error:
             if config.snapshots != "auto" and type(error.__cause__) is EnvError:
                 raise error.__cause__ from None  # it failed in the user's code, and says where
             failures[adapter] = str(error)
         else:
-            return Choice(adapter, room, failures)
+            return AdapterChoice(adapter, size, failures)
     raise EnvError(refusal(config.id, failures))
 
 
@@ -80,11 +82,11 @@ def _candidates(env: Env) -> tuple[Adapter, ...]:
     return tuple(adapter for adapter in ADAPTERS if not unfit.get(adapter, False))
 
 
-class InexactError(EnvError):
+class InexactRestoreError(EnvError):
     """After restoring, the environment went on otherwise than before."""
 
 
-def check_restoring(config: EnvironmentConfig, propositions: Sequence[str], *, trials: int = TRIALS) -> int:
+def check_restore(config: EnvironmentConfig, propositions: Sequence[str], *, trials: int = TRIALS) -> int:
     """Snapshots of one copy, restored into another and into itself: the same actions must give the same steps.
 
     Args:
@@ -96,17 +98,17 @@ def check_restoring(config: EnvironmentConfig, propositions: Sequence[str], *, t
         Bytes to set aside for a snapshot, 0 if the adapter needs none set aside.
 
     Raises:
-        InexactError: if something differs, or the adapter failed.
+        InexactRestoreError: if something differs, or the adapter failed.
         EnvError: if labels cannot be read.
     """
-    first, second = EnvironmentCopy(config, propositions), EnvironmentCopy(config, propositions)
+    first, second = SingleEnv(config, propositions), SingleEnv(config, propositions)
     biggest = max(_trial(first, second, trial) for trial in range(trials))
     if config.snapshots == "replay" or keeps_contract(first.env):
         return 0
-    return -(-2 * biggest // ROOM_UNIT) * ROOM_UNIT
+    return -(-2 * biggest // SIZE_UNIT) * SIZE_UNIT
 
 
-def _trial(first: EnvironmentCopy, second: EnvironmentCopy, trial: int) -> int:
+def _trial(first: SingleEnv, second: SingleEnv, trial: int) -> int:
     """One snapshot; its size in bytes."""
     first.action_space.seed(trial)
     seen = _walk(first, trial, WALKS[trial % len(WALKS)])
@@ -114,21 +116,21 @@ def _trial(first: EnvironmentCopy, second: EnvironmentCopy, trial: int) -> int:
     before = [first.action_space.sample() for _ in range(STEPS_COMPARED)]
     expected = _course(first, before, trial)
     _walk(second, 1000 + trial, 3)
-    for copy, where in ((second, "into another copy"), (first, "into the same copy")):
-        observation = _guarded(copy.set_state, state)
-        _compare(difference("observation", observation, seen, copy.propositions), 0, where)
-        for t, (now, then) in enumerate(zip(_course(copy, before, trial), expected, strict=False), start=1):
+    for env, where in ((second, "into another copy"), (first, "into the same copy")):
+        observation = _guarded(env.set_state, state)
+        _compare(difference("observation", observation, seen, env.propositions), 0, where)
+        for t, (now, then) in enumerate(zip(_course(env, before, trial), expected, strict=False), start=1):
             for name in ("observation", "labels", "terminated", "truncated"):
-                _compare(difference(name, getattr(now, name), getattr(then, name), copy.propositions), t, where)
+                _compare(difference(name, getattr(now, name), getattr(then, name), env.propositions), t, where)
     return int(state.nbytes)
 
 
-def _walk(copy: EnvironmentCopy, seed: int, steps: int) -> NDArray[np.float32]:
+def _walk(env: SingleEnv, seed: int, steps: int) -> NDArray[np.float32]:
     """Reset and act at random, short of the episode's end; the last observation."""
     for allowed in (steps, steps // 2, 0):
-        observation = copy.reset(seed)
+        observation = env.reset(seed)
         for _ in range(allowed):
-            step = copy.step(copy.action_space.sample())
+            step = env.step(env.action_space.sample())
             observation = step.observation
             if step.terminated or step.truncated:
                 break
@@ -137,11 +139,11 @@ def _walk(copy: EnvironmentCopy, seed: int, steps: int) -> NDArray[np.float32]:
     return observation
 
 
-def _course(copy: EnvironmentCopy, actions: Sequence[Any], rng: int) -> list[CopyStep]:
-    copy.reseed(rng)
-    steps: list[CopyStep] = []
+def _course(env: SingleEnv, actions: Sequence[Any], seed: int) -> list[SingleStep]:
+    env.reseed(seed)
+    steps: list[SingleStep] = []
     for action in actions:
-        steps.append(copy.step(action))
+        steps.append(env.step(action))
         if steps[-1].terminated or steps[-1].truncated:
             break
     return steps
@@ -151,10 +153,10 @@ def _guarded(function: Any, *arguments: Any) -> Any:
     try:
         return function(*arguments)
     except EnvError as error:
-        raise InexactError(str(error)) from error
+        raise InexactRestoreError(str(error)) from error
 
 
 def _compare(found: str | None, t: int, where: str) -> None:
     if found is not None:
         when = "right after restoring" if t == 0 else f"after {t} step{'s' if t > 1 else ''}"
-        raise InexactError(f"restored {where}, {when}, {found}")
+        raise InexactRestoreError(f"restored {where}, {when}, {found}")
