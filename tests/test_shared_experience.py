@@ -362,8 +362,7 @@ def test_bad_columns_leave_what_is_there_and_are_told_of_once(context: Context) 
 def taught(share: float, **flags: str) -> tuple[OffPolicyLearner, OffPolicyLearner]:
     """Learners of g1 and g2, both with experience, g1 learning from both."""
     chosen = [f"sac.peer_share={share}", "sac.success_share=0.0", *(f"{k}={v}" for k, v in flags.items())]
-    first = small_sac("g1", *chosen)
-    second = small_sac("g2", *chosen, starts=((TO_G2, AT_G1),), seed=1)
+    first, second = small_sac("g1", *chosen), small_sac("g2", *chosen, starts=((TO_G2, AT_G1),), seed=1)
     for learner in (first, second):
         for _ in range(5):
             assert learner.iterate(NoPeers())

@@ -46,3 +46,18 @@ def load_weights(module: nn.Module, weights: Mapping[str, NDArray[Any]]) -> None
         module.load_state_dict(tensors)
     except RuntimeError as error:
         raise PolicyError(f"weights do not fit the network: {error}") from None
+
+
+def mlp_of(weights: Weights, hidden: Sequence[int]) -> nn.Sequential:
+    """The network ``mlp`` with these parameters; how many inputs and outputs it has, they tell.
+
+    Raises:
+        PolicyError: if there are none, or names or shapes differ from those of an ``mlp`` with layers ``hidden``.
+    """
+    names = (name for name in weights if name.endswith(".weight"))
+    matrices = [weights[name] for name in sorted(names, key=lambda name: int(name.split(".")[0]))]
+    if not matrices:
+        raise PolicyError("an actor has no weights; the export is damaged or of another format")
+    network = mlp(int(matrices[0].shape[1]), hidden, int(matrices[-1].shape[0]), last_gain=0.01)
+    load_weights(network, weights)
+    return network

@@ -9,9 +9,8 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from t4nmtd_dist.agents.common.networks import load_weights, mlp
+from t4nmtd_dist.agents.common.networks import mlp_of
 from t4nmtd_dist.agents.weights import Weights
-from t4nmtd_dist.core.errors import PolicyError
 
 
 class CategoricalActor:
@@ -26,13 +25,8 @@ class CategoricalActor:
     """
 
     def __init__(self, hidden: tuple[int, ...], weights: Weights) -> None:
-        names = (name for name in weights if name.endswith(".weight"))
-        matrices = [weights[name] for name in sorted(names, key=lambda name: int(name.split(".")[0]))]
-        if not matrices:
-            raise PolicyError("an actor has no weights; the export is damaged or of another format")
-        self.inputs = int(matrices[0].shape[1])
-        self._network = mlp(self.inputs, hidden, matrices[-1].shape[0], last_gain=0.01)
-        load_weights(self._network, weights)
+        self._network = mlp_of(weights, hidden)
+        self.inputs = int(weights["0.weight"].shape[1])
 
     @torch.no_grad()
     def act(self, states: NDArray[np.float32], rng: np.random.Generator | None = None) -> NDArray[Any]:
