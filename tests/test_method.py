@@ -195,8 +195,8 @@ def test_ppo_bootstraps_from_zero_where_nobody_inherits() -> None:
     assert learner.rollout.begin()
     learner.collect(NoPeers())
     with torch.no_grad():
-        _, next_values = learner._bootstrap(NoPeers())
-    trajectory = learner._trajectory
+        _, next_values = learner.bootstrap(NoPeers())
+    trajectory = learner.trajectory
     crossed = trajectory.boundary & (trajectory.boundary_q != START)
     assert crossed.sum() > 3
     assert not next_values[crossed].any()

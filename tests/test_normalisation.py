@@ -172,8 +172,8 @@ def test_a_learner_learns_the_statistics_of_its_own_observations(name: str, tmp_
     weights = learner.weights()
     assert weights["normalisation.count"] == learner.rollout.interactions
     assert weights["normalisation.mean"][0] > 100
-    if learner.experience is not None:  # what peers learn from is as the environment gave it
-        assert learner.experience.observations.max() > 100
+    if learner.replay_buffer is not None:  # what peers learn from is as the environment gave it
+        assert learner.replay_buffer.observations.max() > 100
 
 
 @pytest.mark.parametrize("name", WORLDS)

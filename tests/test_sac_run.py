@@ -84,7 +84,7 @@ def test_two_runs_of_one_seed_are_equal_bit_for_bit(run: SerialRun) -> None:
     assert report_of(first) == report_of(second)
     learners = [run.sessions["g1"].learner for run in (first, second)]
     assert learners[0].gradient_steps == learners[1].gradient_steps > 0
-    for one, other in zip(*(learner.experience.state_dict().values() for learner in learners), strict=True):  # type: ignore
+    for one, other in zip(*(learner.replay_buffer.state_dict().values() for learner in learners), strict=True):  # type: ignore
         assert one.tobytes() == other.tobytes()
     assert evaluations_of(first) == evaluations_of(second) != []
 

@@ -304,7 +304,7 @@ class Worker:
             session.learner.rollout.pulse = self._keep_leases
             self._sessions[pid] = session
             self._neighbours.join(session)
-            self._critics.serve(pid, session.learner.published, session.learner.experience)
+            self._critics.serve(pid, session.learner.published, session.learner.replay_buffer)
         self._waiting.clear()
 
     def _send_heartbeats(self, now: float) -> None:

@@ -45,7 +45,7 @@ class SerialRun:
         self.coordinator = CoordinatorState(self.task, self.settings)
         self.sessions = {pid: self._begin(pid) for pid in self.task.decomposition.pids}
         experiences = {
-            pid: s.learner.experience for pid, s in self.sessions.items() if s.learner.experience is not None
+            pid: s.learner.replay_buffer for pid, s in self.sessions.items() if s.learner.replay_buffer is not None
         }
         for session in self.sessions.values():
             session.learner.learn_from(experiences)
