@@ -5,7 +5,7 @@ says why and records anew: ``python tests/oracle.py --record``.
 
 * ``serial.json``: for five tasks, what a short ``t4nmtd train --serial --seed 0`` leaves behind. Hashes of all arrays
   and generator states in its checkpoint and policy (weights, targets, optimisers, replay, start states), counters and
-  Q entries in clear. Arrays are compared by content (type, shape, bytes), equal ones counting once: their names only
+  Q entries in clear; those that come into being later are no difference. Arrays are compared by content (type, shape, bytes), equal ones counting once: their names only
   tell a reader what they were. Every learner makes gradient steps; ``SHORTER`` says what it takes to get there soon.
 * ``wire.json``: the frames of one message of every kind, with all fields and with the required ones only.
 * ``inspect/``: ``t4nmtd inspect --json`` of the eight tasks.
@@ -62,7 +62,7 @@ SHORTER: dict[str, tuple[int, tuple[str, ...]]] = {
 
 SAME_EVERYWHERE = ("task7", "task8")  # their counters
 LIBRARIES = ("torch", "numpy", "gymnasium", "mujoco", "pymunk")
-TIMES = ("elapsed_s", "wall_s", "evaluations_processor_share")
+TIMES = ("elapsed_s", "wall_s", "processor_s", "evaluations_processor_share")
 SHARED = "all learners"
 DIGITS = 16  # of a SHA-256
 
@@ -242,13 +242,25 @@ def same_machine(recorded: Json) -> str:
 def differences(task: str, recorded: Json, found: Json) -> list[str]:
     """How a training differs from what was recorded: a line for every learner and part."""
     lines = [
-        f"{task}: {part}: {recorded[part]} became {found[part]}"
+        f"{task}: {line}"
         for part in ("summary", "evaluations", "q", "policy_q")
-        if recorded[part] != found[part]
+        for line in _value_differences(part, recorded[part], found[part])
     ]
     for pid in sorted(recorded["learners"].keys() | found["learners"].keys()):
         lines += [f"{task}, {pid}: {line}" for line in _learner_differences(recorded, found, pid)]
     return lines
+
+
+def _value_differences(name: str, before: Any, after: Any) -> Iterator[str]:
+    """How recorded JSON data differs; keys that were not recorded are no difference."""
+    if isinstance(before, dict) and isinstance(after, dict):
+        for key, value in before.items():
+            yield from _value_differences(f"{name} {key}".strip(), value, after.get(key))
+    elif isinstance(before, list) and isinstance(after, list) and len(before) == len(after):
+        for i, (value, other) in enumerate(zip(before, after, strict=True)):
+            yield from _value_differences(f"{name}[{i}]", value, other)
+    elif before != after:
+        yield f"{name} was {before}, is {after}"
 
 
 def _learner_differences(recorded: Json, found: Json, pid: str) -> Iterator[str]:
@@ -256,7 +268,7 @@ def _learner_differences(recorded: Json, found: Json, pid: str) -> Iterator[str]
         yield "is only in what was " + ("recorded" if pid in recorded["learners"] else "found")
         return
     before, after = recorded["learners"][pid], found["learners"][pid]
-    yield from _counter_differences(before["counters"], after["counters"])
+    yield from _value_differences("", before["counters"], after["counters"])
     gone = _not_in(before["arrays"], after["arrays"])
     fresh = _not_in(after["arrays"], before["arrays"])
     if gone or fresh:
@@ -265,12 +277,6 @@ def _learner_differences(recorded: Json, found: Json, pid: str) -> Iterator[str]
         yield f"{len(fresh)} arrays were not recorded: {', '.join(fresh[:8])}" + ", ..." * (len(fresh) > 8)
     if lost := set(before["generators"]) - set(after["generators"]):
         yield f"{len(lost)} of {len(before['generators'])} generators are not as recorded"
-
-
-def _counter_differences(before: Mapping[str, str], after: Mapping[str, str]) -> Iterator[str]:
-    for name in sorted(before.keys() | after.keys()):
-        if before.get(name) != after.get(name):
-            yield f"{name} was {before.get(name)}, is {after.get(name)}"
 
 
 def _not_in(arrays: Mapping[str, str], others: Mapping[str, str]) -> list[str]:
@@ -283,7 +289,7 @@ def coarse_differences(task: str, recorded: Json, found: Json) -> list[str]:
     return [
         f"{task}, {pid}: {line}"
         for pid, learner in recorded["learners"].items()
-        for line in _counter_differences(_whole(learner), _whole(found["learners"][pid]))
+        for line in _value_differences("", _whole(learner), found["learners"][pid]["counters"])
     ]
 
 
