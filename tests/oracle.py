@@ -1,12 +1,13 @@
 """What later commits are held against: numbers of short trainings, bytes of messages, and compiled tasks.
 
 ``tests/oracle/`` holds what one commit computed, ``test_oracle.py`` compares. A commit that is meant to change numbers
-says why and records anew: ``python tests/oracle.py --record``.
+says why and records anew: ``python tests/oracle.py --record``, or ``--record wire`` for that file alone.
 
 * ``serial.json``: for five tasks, what a short ``t4nmtd train --serial --seed 0`` leaves behind. Hashes of all arrays
   and generator states in its checkpoint and policy (weights, targets, optimisers, replay, start states), counters and
-  Q entries in clear; those that come into being later are no difference. Arrays are compared by content (type, shape, bytes), equal ones counting once: their names only
-  tell a reader what they were. Every learner makes gradient steps; ``SHORTER`` says what it takes to get there soon.
+  Q entries in clear. Arrays are compared by content (type, shape, bytes), equal ones counting once: their names only
+  tell a reader what they were. Counters that come into being later are no difference. Every learner makes gradient
+  steps; ``SHORTER`` says what it takes to get there soon.
 * ``wire.json``: the frames of one message of every kind, with all fields and with the required ones only.
 * ``inspect/``: ``t4nmtd inspect --json`` of the eight tasks.
 
@@ -47,6 +48,7 @@ from t4nmtd_dist.wire.messages import KINDS
 
 RECORDED = Path(__file__).parent / "oracle"
 PROGRAM = Path(sysconfig.get_path("scripts")) / "t4nmtd"
+PARTS = ("serial", "wire", "inspect")
 TASKS = tuple(f"task{number}" for number in range(1, 9))
 
 SAC = ("sac.learning_starts=200", "sac.batch=32", "sac.updates_per_step=0.1", "evaluation.episodes=2")
@@ -206,11 +208,9 @@ def _is_q_entry(entry: Any) -> bool:
 # Messages and tasks
 
 
-def wire_frames() -> dict[str, dict[str, list[str]]]:
-    """The frames of a message of every kind in hexadecimal."""
-    return {
-        kind: {"all fields": _frames(kind, BODIES[kind]), "required": _frames(kind, _required(kind))} for kind in BODIES
-    }
+def wire_frames(kind: str) -> dict[str, list[str]]:
+    """The frames of a message in hexadecimal."""
+    return {"all fields": _frames(kind, BODIES[kind]), "required": _frames(kind, _required(kind))}
 
 
 def _required(kind: str) -> Json:
@@ -310,13 +310,16 @@ def _dump(path: Path, data: Json) -> None:
     path.write_text(json.dumps(data, indent=1) + "\n", encoding="utf-8")
 
 
-def record(folder: Path) -> None:
-    """Compute everything and write it down."""
+def record(parts: Iterable[str], folder: Path) -> None:
+    """Compute what was asked for and write it down."""
     (folder / "inspect").mkdir(parents=True, exist_ok=True)
-    _dump(folder / "wire.json", wire_frames())
-    for task in TASKS:
+    if "wire" in parts:
+        _dump(folder / "wire.json", {kind: wire_frames(kind) for kind in BODIES})
+    for task in TASKS if "inspect" in parts else ():
         (folder / "inspect" / f"{task}.json").write_text(inspect_json(task), encoding="utf-8")
-    _dump(folder / "serial.json", {"fingerprint": fingerprint(), "tasks": {task: run_task(task) for task in SHORTER}})
+    if "serial" in parts:
+        found = {task: run_task(task) for task in SHORTER}
+        _dump(folder / "serial.json", {"fingerprint": fingerprint(), "tasks": found})
 
 
 def compare(folder: Path) -> list[str]:
@@ -330,12 +333,12 @@ def compare(folder: Path) -> list[str]:
 def main() -> int:
     """Record, or compare the trainings with a recording."""
     parser = argparse.ArgumentParser(description="Records what later commits are held against, or compares with it.")
-    parser.add_argument("--record", action="store_true", help="compute everything and write it down")
+    parser.add_argument("--record", nargs="*", choices=PARTS, help="compute these, by default all, and write them down")
     parser.add_argument("--into", type=Path, default=RECORDED, help="the folder to record into")
     parser.add_argument("--against", type=Path, default=RECORDED, help="the folder to compare with")
     given = parser.parse_args()
-    if given.record:
-        record(given.into)
+    if given.record is not None:
+        record(given.record or PARTS, given.into)
         return 0
     found = compare(given.against)
     print("\n".join(found) or "no difference")

@@ -39,7 +39,7 @@ def test_every_learner_of_the_recorded_trainings_has_learnt() -> None:
 
 @pytest.mark.parametrize("kind", KINDS)
 def test_messages_have_the_recorded_bytes(kind: str) -> None:
-    assert oracle.wire_frames()[kind] == oracle.load("wire.json")[kind]
+    assert oracle.wire_frames(kind) == oracle.load("wire.json")[kind]
 
 
 @pytest.mark.parametrize("kind", KINDS)
