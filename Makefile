@@ -6,13 +6,17 @@ STAMP := $(VENV)/.set-up
 
 TASK ?= task7
 ARGS ?=
+TEST_CORES ?= 2
+
+PYTEST   := $(BIN)/python -m pytest
+PARALLEL := --numprocesses $(TEST_CORES) --dist loadfile
 
 .DEFAULT_GOAL := help
-.PHONY: help setup run test lint type format bench clean
+.PHONY: help setup run test test-fast lint type format bench clean
 
 help: ## this list
 	@echo "make VERB, where VERB is one of"
-	@sed -n 's/^\([a-z]*\):.*## \(.*\)/  \1\t\2/p' $(MAKEFILE_LIST) | expand -t 12
+	@sed -n 's/^\([a-z-]*\):.*## \(.*\)/  \1\t\2/p' $(MAKEFILE_LIST) | expand -t 12
 	@echo "TASK=task8 chooses the task of run; ARGS='...' is passed on to run (t4nmtd train) and test (pytest)."
 
 setup: $(STAMP) ## make .venv with everything needed, and install MONA if that can be done
@@ -25,8 +29,15 @@ $(STAMP): pyproject.toml constraints.txt deploy/setup.sh
 run: $(STAMP) ## train TASK (task7) with local processes and the dashboard until it is solved
 	@$(BIN)/t4nmtd train --task $(TASK) $(ARGS)
 
-test: $(STAMP) ## run all tests
-	@$(BIN)/python -m pytest $(ARGS)
+# Tests that start processes measure times and memory: they run one after the other. pytest's exit code 5 means that no
+# test was chosen, as when ARGS names a file that has tests of one kind only.
+test: $(STAMP) ## run all tests: on TEST_CORES cores, then those that start processes one after the other
+	@$(PYTEST) -m "not process" $(PARALLEL) $(ARGS); parallel=$$?; \
+	$(PYTEST) -m process $(ARGS); serial=$$?; \
+	case "$$parallel $$serial" in "0 0" | "0 5" | "5 0") ;; *) exit 1 ;; esac
+
+test-fast: $(STAMP) ## run the tests that start no process and train nothing
+	@$(PYTEST) -m "not process and not training" $(PARALLEL) $(ARGS)
 
 lint: $(STAMP) ## check style, formatting, and which package may import which
 	@$(BIN)/ruff check

@@ -46,13 +46,14 @@ from coordinator.service import CoordinatorService
 from coordinator.state import CoordinatorState, RunSettings
 from envs.racecar_track import TARGET_RADIUS, TARGETS, on_track
 from t4nmtd_dist.environments.preparation import prepared
-from t4nmtd_dist.launch.local import dealt, role
+from t4nmtd_dist.launch.command_lines import python_command
+from t4nmtd_dist.launch.program import assign_pids
 from t4nmtd_dist.method.compiled import compile_task
 from t4nmtd_dist.runs.directory import CHECKPOINTS_FOLDER, CONFIG_FILE, ENDPOINTS_FILE
 from t4nmtd_dist.tasks import load_task
 from t4nmtd_dist.wire.messages import Status
-from t4nmtd_dist.wire.sockets import new_context
 from t4nmtd_dist.wire.status_client import Inquiry
+from t4nmtd_dist.wire.zmq_types import new_context
 
 PIDS = ("g1", "g2", "g3", "g4")
 STARTS = 50
@@ -103,10 +104,10 @@ class Counts:
         self.cpu_s += cpu_s
         for sign, status in ((-1, before), (1, after)):
             for row in status.learners:
-                self.steps += sign * row.interactions
-                self.updates += sign * row.updates
+                self.steps += sign * row.total.interactions
+                self.updates += sign * row.total.gradient_steps
                 for name in ("asked", "answered", "late", "own_used", "lag_total"):
-                    setattr(self, name, getattr(self, name) + sign * getattr(row.intervention, name))
+                    setattr(self, name, getattr(self, name) + sign * getattr(row.total.intervention, name))
 
 
 @dataclass
@@ -129,11 +130,11 @@ class Run:
         while not endpoints.exists():
             self._check(deadline)
         control = json.loads(endpoints.read_text(encoding="utf-8"))["control"]
-        for name, hand in dealt(PIDS, self.mode.workers).items():
-            places = [part for pid in hand for part in ("--pid", pid)]
+        for name, held in assign_pids(PIDS, self.mode.workers).items():
+            places = [part for pid in held for part in ("--pid", pid)]
             if self.resume is not None:
                 places += ["--checkpoints", str(self.folder / "run" / CHECKPOINTS_FOLDER), *SELDOM]
-            self._spawn([*role("worker"), "--connect", control, "--instance", name, *places], name)
+            self._spawn([*python_command("worker"), "--connect", control, "--instance", name, *places], name)
         self.inquiry = Inquiry(new_context(), control)
         self.inquiry.agree(ANSWER_S)
 
@@ -151,7 +152,7 @@ class Run:
         settings["learner"]["intervention"] = self.mode.intervention
         settings["evaluation"]["every"] = BUDGET
         (run / CONFIG_FILE).write_text(tomli_w.dumps(settings), encoding="utf-8")
-        command = [*role("coordinator"), "--resume", str(run), "--no-dashboard", *SELDOM]
+        command = [*python_command("coordinator"), "--resume", str(run), "--no-dashboard", *SELDOM]
         command += ["--bind", LOOPBACK, "--publish", LOOPBACK, "--lease", "1e9"]
         return [*command, "--max-interactions", str(BUDGET)]
 
@@ -171,7 +172,7 @@ class Run:
         deadline = time.monotonic() + START_S
         while True:
             learners = self.status().learners
-            if all(row.updates > WARM_UPDATES and row.recent_success for row in learners):
+            if all(row.total.gradient_steps > WARM_UPDATES and row.total.recent_success for row in learners):
                 return
             self._check(deadline)
 
@@ -226,7 +227,7 @@ def serve(folder: Path, flags: Sequence[str]) -> None:
             entries.append((q, pid, 1.0))
             for start in scripted_starts(pid):
                 state.records[pid].buffer.add(q, start)
-    state.high_level.load(entries)
+    state.method.load(entries)
     CoordinatorService(state, run, Access(LOOPBACK, LOOPBACK, None, False), restart=False).serve()
 
 
@@ -250,7 +251,7 @@ def results(runs: Sequence[Run]) -> list[dict[str, object]]:
                 "own_used": round(total.own_used / total.asked, 4) if total.asked else None,
                 "late": round(total.late / total.asked, 4) if total.asked else None,
                 "lag_mean": round(total.lag_total / total.answered, 3) if total.answered else None,
-                "success": [round(row.recent_success or 0.0, 2) for row in run.status().learners],
+                "success": [round(row.total.recent_success or 0.0, 2) for row in run.status().learners],
             }
         )
     for row in rows:

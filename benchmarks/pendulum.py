@@ -40,10 +40,11 @@ import torch
 from numpy.typing import NDArray
 from stable_baselines3 import SAC
 
-from t4nmtd_dist.agents.actors import scaled
+from t4nmtd_dist.agents.common.action_bounds import scaled
+from t4nmtd_dist.agents.common.batches import Batch
 from t4nmtd_dist.agents.common.replay_buffer import Experience
 from t4nmtd_dist.agents.sac.fast_cpu.update import SACUpdater
-from t4nmtd_dist.agents.sac.interface import SACBatch, SACSettings
+from t4nmtd_dist.agents.sac.updater import SACSettings
 from t4nmtd_dist.method.rewards import SubtaskTables
 
 Floats = NDArray[np.float32]
@@ -122,7 +123,7 @@ class Ours:
         self._rewards[number] = reward
         self._observation = self._env.reset()[0] if over else after
 
-    def _draw(self) -> SACBatch:
+    def _draw(self) -> Batch:
         experience = self.experience
         rows = experience.sample(BATCH, 0.0, self._rng)
         returns = experience.returns(rows, experience.q[rows], ONE_STATE, DELTA, GAMMA, 1)
@@ -133,7 +134,7 @@ class Ours:
             returns.discount.astype(np.float32),
             experience.next_observations[returns.last],
         )
-        return SACBatch(*map(torch.from_numpy, columns))
+        return Batch(*map(torch.from_numpy, columns))
 
     def actions(self, observations: Floats) -> Floats:
         """See ``Agent``."""

@@ -32,14 +32,15 @@ from numpy.typing import NDArray
 from stable_baselines3 import SAC
 from stable_baselines3.common.logger import Logger
 
+from t4nmtd_dist.agents.common.batch_source import BatchSource
+from t4nmtd_dist.agents.common.batches import Batch
+from t4nmtd_dist.agents.common.relabelling import ExperienceReader
 from t4nmtd_dist.agents.common.replay_buffer import Experience
-from t4nmtd_dist.agents.sac.batches import BatchSource
+from t4nmtd_dist.agents.sac.config import SACConfig
 from t4nmtd_dist.agents.sac.fast_cpu.matmul import multiply
 from t4nmtd_dist.agents.sac.fast_cpu.update import SACUpdater
-from t4nmtd_dist.agents.sac.interface import PeerSoftValues, SACBatch, SACSettings
-from t4nmtd_dist.core.config import SACConfig
+from t4nmtd_dist.agents.sac.updater import PeerSoftValues, SACSettings
 from t4nmtd_dist.method.compiled import CompiledTask, compile_task
-from t4nmtd_dist.method.rewards import subtask_tables
 from t4nmtd_dist.tasks import load_task
 
 OBSERVATION, ACTIONS, HIDDEN, BATCH = 76, 2, (256, 256), 256
@@ -79,18 +80,18 @@ class Sampling:
     def __init__(self) -> None:
         task = compile_task(load_task(TASK))
         learner, states, pids = task.config.learner, task.dfa.states, task.decomposition.pids
-        tables = subtask_tables(
-            task.dfa, task.decomposition, PID, task.rho, gamma=learner.gamma, shaping=learner.shaping
-        )
-        high_level = task.q_table()
-        high_level.load((q, pid, 1.0) for q in range(states) for pid in task.decomposition.available(q))
+        method = task.method()
+        method.load((q, pid, 1.0) for q in range(states) for pid in task.decomposition.available(q))
         self._rng = np.random.default_rng(0)
-        own, peers = (self._filled(task, np.flatnonzero(tables.available)) for _ in range(2))
+        own, peers = (self._filled(task, method.reads(PID).q) for _ in range(2))
         sac = dataclasses.replace(SACConfig(), batch=BATCH)
-        self._source = BatchSource(PID, own, tables, task.dfa.delta, learner, sac, high_level, self._rng)
+        reader = ExperienceReader(
+            method.role(PID).tables, task.dfa.delta, learner.gamma, learner.reward_scale, sac.n_step
+        )
+        self._source = BatchSource(PID, own, reader, sac, method, self._rng)
         self._source.others = {next(pid for pid in pids if pid != PID): peers}
 
-    def _filled(self, task: CompiledTask, readable: NDArray[np.intp]) -> Experience:
+    def _filled(self, task: CompiledTask, readable: NDArray[np.int32]) -> Experience:
         """Observations are as wide as leaves 76 for the networks; every 50th step ends an attempt, half succeed."""
         rng, width, symbols = self._rng, OBSERVATION - task.dfa.states, task.dfa.delta.shape[1]
         experience = Experience(STORED // WORLDS, WORLDS, width, ACTIONS)
@@ -108,7 +109,7 @@ class Sampling:
             )
         return experience
 
-    def draw(self) -> tuple[SACBatch, PeerSoftValues]:
+    def draw(self) -> tuple[Batch, PeerSoftValues]:
         """A batch for the networks, and values of peers for the rows that are theirs."""
         drawn = self._source.draw(0, SUCCESS)
         values, log_probs = self._rng.standard_normal((2, len(drawn.asked_rows)), np.float32)

@@ -8,7 +8,7 @@ from pathlib import Path
 from coordinator.kept_policy import keep_exported
 from coordinator.saved_state import load_saved_state, raise_counts, saved_counts, saved_state
 from coordinator.state import CoordinatorState
-from t4nmtd_dist.agents.actors import acting_parameters
+from t4nmtd_dist.agents.weights import acting_parameters
 from t4nmtd_dist.core.errors import RunError
 from t4nmtd_dist.core.state_dict import State
 from t4nmtd_dist.runs.background import BackgroundWriter

@@ -9,15 +9,13 @@ import msgspec
 from t4nmtd_dist.core.errors import ProtocolError
 from t4nmtd_dist.method.compiled import CompiledTask
 from t4nmtd_dist.wire.messages import EvaluationReport, LearnerStats
-
-OPTIONAL_FIGURES = ("recent_success", "episode_steps", "entropy", "value_loss")
+from t4nmtd_dist.wire.statistics import by_name
 
 
 def finite_figures(stats: LearnerStats) -> LearnerStats:
-    """The counts of a learner with every figure that is not finite left out: a learner that diverges goes on."""
-    figures = {name: getattr(stats, name) for name in OPTIONAL_FIGURES}
+    """Statistics without the gauges that are not finite: a learner that diverges goes on."""
     unusable: dict[str, None] = {
-        name: None for name, figure in figures.items() if figure is not None and not math.isfinite(figure)
+        name: None for name, value in by_name(stats).items() if isinstance(value, float) and not math.isfinite(value)
     }
     return msgspec.structs.replace(stats, **unusable) if unusable else stats
 

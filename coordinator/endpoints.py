@@ -18,7 +18,8 @@ from t4nmtd_dist.wire.connection_guard import ConnectionGuard
 from t4nmtd_dist.wire.limits import CONTROL_LIMITS, STATE_LIMITS, Limits
 from t4nmtd_dist.wire.rate_limited_log import Notices
 from t4nmtd_dist.wire.secure_receiver import Arrival, Gate
-from t4nmtd_dist.wire.sockets import Context, Socket, bind, bound_endpoint, new_context, send
+from t4nmtd_dist.wire.sockets import bind, bound_endpoint, send
+from t4nmtd_dist.wire.zmq_types import Context, Socket, new_context
 
 MESSAGES_PER_TURN = 200
 

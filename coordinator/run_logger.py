@@ -16,6 +16,7 @@ from t4nmtd_dist.runs.directory import RunDirectory
 from t4nmtd_dist.runs.event_files import TensorBoard, open_event_files
 from t4nmtd_dist.wire.messages import EvaluationRow
 from t4nmtd_dist.wire.rate_limited_log import Notices, Tell
+from t4nmtd_dist.wire.statistics import by_name
 
 METRICS_EVERY_S = 5.0
 
@@ -95,29 +96,9 @@ class Recorder:
     def _learners(self) -> None:
         state = self._state
         for pid, record in state.records.items():
-            total = record.total
-            self._run.append_metrics(
-                pid,
-                {
-                    "elapsed_s": round(state.elapsed_s, 3),
-                    "interactions_of_all": state.interactions,
-                    "interactions": total.interactions,
-                    "gradient_steps": total.gradient_steps,
-                    "attempts": total.attempts,
-                    "successes": total.successes,
-                    "recent_success": total.recent_success,
-                    "episode_steps": total.episode_steps,
-                    "entropy": total.entropy,
-                    "value_loss": total.value_loss,
-                    "start_states": len(record.buffer),
-                    "peer_rows": total.peer_rows,
-                    "asked": total.intervention.asked,
-                    "answered": total.intervention.answered,
-                    "late": total.intervention.late,
-                    "own_used": total.intervention.own_used,
-                    "lag_total": total.intervention.lag_total,
-                },
-            )
+            about_run = {"elapsed_s": round(state.elapsed_s, 3), "interactions_of_all": state.interactions}
+            statistics = by_name(record.total) | {"start_states": len(record.buffer)}
+            self._run.append_metrics(pid, about_run | statistics)
             if self._event_files is not None:
                 self._event_files.add(pid, state.interactions, learner_scalars(record))
 

@@ -15,7 +15,7 @@ def saved_state(state: CoordinatorState) -> State:
     Arrays of weights are the very ones that are held; they are replaced, never changed.
     """
     return {
-        "high_level": state.high_level.entries(),
+        "high_level": state.method.entries(),
         "rng": state.rng.bit_generator.state,
         "records": {pid: record.state_dict() for pid, record in state.records.items()},
         "evaluations": state.evaluations.state_dict(),
@@ -28,7 +28,7 @@ def saved_state(state: CoordinatorState) -> State:
 
 def load_saved_state(state: CoordinatorState, saved: State) -> None:
     """Let a fresh coordinator of the same run go on from a ``saved_state``."""
-    state.high_level.load((q, pid, value) for q, pid, value in saved["high_level"])
+    state.method.load((q, pid, value) for q, pid, value in saved["high_level"])
     state.rng.bit_generator.state = saved["rng"]
     for pid, record in state.records.items():
         record.load_state_dict(saved["records"][pid])

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from coordinator.learner_registry import LearnerRecord
 from t4nmtd_dist.wire.messages import EvaluationRow
+from t4nmtd_dist.wire.statistics import scalars
 
 
 def evaluation_scalars(row: EvaluationRow) -> dict[str, float | None]:
@@ -14,19 +15,6 @@ def evaluation_scalars(row: EvaluationRow) -> dict[str, float | None]:
 def learner_scalars(record: LearnerRecord) -> dict[str, float | None]:
     """A learner's newest figures; None where there is none yet.
 
-    Entropy is in nats, rates are over the last ten seconds. ``own_used_share`` (of the values asked from peers, those
-    for which the learner's own critic had to serve) and ``mean_lag`` (versions by which answers were behind) are over
-    the whole run.
+    Rates are over the last ten seconds; sums and ratios are over the whole run.
     """
-    total = record.total
-    peers = total.intervention
-    steps_per_s, updates_per_s = record.rates()
-    return {
-        "recent_success": total.recent_success,
-        "entropy": total.entropy,
-        "critic_loss": total.value_loss,
-        "steps_per_s": steps_per_s,
-        "updates_per_s": updates_per_s,
-        "own_used_share": peers.own_used / peers.asked if peers.asked else None,
-        "mean_lag": peers.lag_total / peers.answered if peers.answered else None,
-    }
+    return scalars(record.total, record.rates())

@@ -31,7 +31,8 @@ from t4nmtd_dist.wire.secure_receiver import Arrival
 TICK_S = 0.1
 PUBLISH_S = 0.2
 FAREWELL_S = 1.5
-LONGEST_FAREWELL_S = 4.0
+HURRIED_FAREWELL_S = 4.0
+LONGEST_FAREWELL_S = 12.0  # a learner hears of the end after a turn, which may take long; `t4nmtd train` waits 15 s
 
 
 class CoordinatorService:
@@ -119,8 +120,9 @@ class CoordinatorService:
     def _say_farewell(self) -> None:
         """Tell all that it is over, hear what learners have done until they heard of it, and write everything down."""
         began = time.monotonic()
-        while time.monotonic() < began + (LONGEST_FAREWELL_S if self._learners_left() else FAREWELL_S):
+        while time.monotonic() < began + self._farewell_s():
             self._turn()
+        self._tell_of_unheard()
         pause = patience(self._turn, lambda: self._impatient)
         try:
             with self._mishaps.survived("writing the result") as mishap:
@@ -140,8 +142,19 @@ class CoordinatorService:
         while not self._said.empty():
             self._feed(Noticed(time.monotonic(), self._said.get()))
 
-    def _learners_left(self) -> bool:
-        return bool(self.state.leases.holders(time.monotonic()))
+    def _farewell_s(self) -> float:
+        """How long to wait for last words: as long as learners are at work, if nobody is in a hurry."""
+        if not self.state.leases.holders(time.monotonic()):
+            return FAREWELL_S
+        return HURRIED_FAREWELL_S if self._impatient else LONGEST_FAREWELL_S
+
+    def _tell_of_unheard(self) -> None:
+        unheard = [lease.place for lease in self.state.leases.all() if not lease.released]
+        if unheard:
+            self._say(
+                f"no last word of {', '.join(unheard)}: what was done there since the last report is not counted "
+                "here; a resume counts what its checkpoint holds"
+            )
 
     def _turn(self) -> None:
         messages, subscriptions = self._doors.wait(TICK_S)

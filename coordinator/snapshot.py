@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import math
+from functools import reduce
 from typing import Any
 
-from coordinator.learner_registry import LearnerRecord, add_interventions
+from coordinator.learner_registry import LearnerRecord
 from coordinator.state import CoordinatorState
 from coordinator.stuck import stuck_lines
 from coordinator.worker_commands import WorkerCommands
@@ -20,6 +21,7 @@ from t4nmtd_dist.wire.messages import (
     QCell,
     Status,
 )
+from t4nmtd_dist.wire.statistics import added
 
 EVALUATIONS_SHOWN = 200
 
@@ -104,23 +106,16 @@ def _finite(number: float) -> float | None:
 
 def _learner_row(state: CoordinatorState, pid: str, record: LearnerRecord) -> LearnerRow:
     lease, total = state.leases.get(pid), record.total
-    steps_per_s, updates_per_s = record.rates() if state.outcome is None else (0.0, 0.0)
     return LearnerRow(
         pid=pid,
         phase=_phase(state, pid, total.phase),
         worker=lease.instance if lease else "",
         epoch=lease.epoch if lease else 0,
         version=record.version,
-        interactions=total.interactions,
-        steps_per_s=steps_per_s,
-        updates=total.gradient_steps,
-        updates_per_s=updates_per_s,
-        attempts=total.attempts,
-        recent_success=total.recent_success,
         starts_waiting=len(record.buffer),
         heartbeat_age_s=state.now - lease.heard if lease else None,
-        intervention=total.intervention,
-        successes=total.successes,
+        total=total,
+        rates=record.rates() if state.outcome is None else {},
         hint="\n".join(stuck_lines(pid, state.records, state.task)) if state.outcome is None else "",
     )
 
@@ -133,10 +128,8 @@ def _phase(state: CoordinatorState, pid: str, reported: LearnerPhase) -> Learner
 
 
 def _q_cells(state: CoordinatorState) -> list[QCell]:
-    return [
-        QCell(q=q, pid=pid, value=value, greedy=state.high_level.greedy(q) == pid)
-        for q, pid, value in state.high_level.entries()
-    ]
+    greedy = state.method.choose(range(state.task.dfa.states))
+    return [QCell(q=q, pid=pid, value=value, greedy=greedy[q] == pid) for q, pid, value in state.method.entries()]
 
 
 def thinned(history: list[EvaluationRow], most: int) -> list[EvaluationRow]:
@@ -149,9 +142,7 @@ def summary(state: CoordinatorState) -> dict[str, Any]:
     """What ``summary.json`` holds once a run is over."""
     evaluations = state.evaluations
     last = evaluations.history[-1] if evaluations.history else None
-    counts = Intervention()
-    for record in state.records.values():
-        counts = add_interventions(counts, record.total.intervention)
+    counts = reduce(added, (record.total.intervention for record in state.records.values()), Intervention())
     solved = state.outcome == "solved"
     return {
         "task": state.task.config.name,

@@ -30,11 +30,10 @@ from coordinator.intake import Intake, usable
 from coordinator.learner_registry import LearnerRecord
 from coordinator.leases import Lease, LeaseTable
 from coordinator.numbering import numbered
-from coordinator.progress import ReceivedProgress, read_progress, stack_starts
 from coordinator.refusals import live_lease, stale_evaluator, unknown_pid
 from coordinator.stand_ins import StandIns
 from coordinator.stuck import StuckWatch
-from t4nmtd_dist.agents.actors import acting_parameters
+from t4nmtd_dist.agents.weights import acting_parameters
 from t4nmtd_dist.core.errors import ProtocolError
 from t4nmtd_dist.method.compiled import CompiledTask
 from t4nmtd_dist.method.start_states import InitialStateBuffer
@@ -58,6 +57,7 @@ from t4nmtd_dist.wire.messages import (
     Sync,
     SyncReply,
 )
+from t4nmtd_dist.wire.progress import PackedProgress, pack_starts, unpack_progress
 
 EVALUATOR = "evaluator"
 STARTS_PER_REPLY = 256
@@ -94,7 +94,7 @@ class CoordinatorState:
 
     def __init__(self, task: CompiledTask, settings: RunSettings) -> None:
         self.task, self.settings = task, settings
-        self.high_level = task.q_table()
+        self.method = task.method()
         self.rng = np.random.default_rng([settings.seed, 2])
         pids = task.decomposition.pids
         capacity = task.config.learner.start_capacity
@@ -283,7 +283,7 @@ class CoordinatorState:
 
     def _accept(self, sync: Sync, arrays: Mapping[str, NDArray[Any]]) -> list[Action]:
         """Take in what is new: progress, counts and weights; lines about what is of no use."""
-        progress = read_progress(arrays, self.task.dfa.states, self.snapshot)
+        progress = unpack_progress(arrays, self.task.dfa.states, self.snapshot)
         record = self.records[sync.pid]
         told: list[Action] = []
         if sync.sequence > record.sequence:
@@ -320,20 +320,15 @@ class CoordinatorState:
         refused = Refused(reason="stale epoch", text=text, final=final, pid=sync.pid)
         return [Send(peer, refused, answers=answers)]
 
-    def _apply(self, pid: str, progress: ReceivedProgress) -> list[Action]:
-        for q, q_next, steps, reward in progress.changes:
-            if q_next < 0:
-                self.high_level.fail(q, pid)
-            else:
-                self.high_level.update(q, pid, reward, q_next, steps)
+    def _apply(self, pid: str, progress: PackedProgress) -> list[Action]:
+        self.method.told(pid, progress.changes)
         starts = usable(progress.starts)
         for q, state in starts:
             self.snapshot = state
             if q in self.task.terminal:
                 continue
-            chosen = self.high_level.choose(q, self.rng)
-            if chosen is not None:
-                self.records[chosen].buffer.add(q, state)
+            for receiver in self.method.receivers(pid, q, self.rng):
+                self.records[receiver].buffer.add(q, state)
         dropped = len(progress.starts) - len(starts)
         return self._complain(pid, f"{dropped} start states are dropped: they are not finite" if dropped else "")
 
@@ -345,11 +340,11 @@ class CoordinatorState:
             epoch=sync.epoch,
             accepted_sequence=record.sequence,
             start_cursor=fresh[-1][0] if fresh else sync.start_cursor,
-            q_table=self.high_level.entries(),
+            q_table=self.method.entries(),
             peers=self._peers(sync.pid),
             evaluate=self.interactions > 0 and self.stand_ins.wanted(self.now) and self._evaluation_due(),
         )
-        return Send(peer, reply, stack_starts([(q, state) for _, q, state in fresh]), answers)
+        return Send(peer, reply, pack_starts([(q, state) for _, q, state in fresh]), answers)
 
     def _peers(self, pid: str) -> dict[str, Peer]:
         return {
@@ -372,7 +367,7 @@ class CoordinatorState:
             return [Send(peer, EvaluationJob(job=0), answers=answers)]
         versions = self._versions()
         weights = {pid: acting_parameters(self.records[pid].weights) for pid in versions}
-        snapshot = self.evaluations.hand_out(self.interactions, self.high_level.entries(), versions, weights)
+        snapshot = self.evaluations.hand_out(self.interactions, self.method.entries(), versions, weights)
         job = EvaluationJob(
             job=snapshot.job,
             interactions=snapshot.interactions,

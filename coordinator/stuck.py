@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 
 from coordinator.learner_registry import LearnerRecord
+from t4nmtd_dist.core.agent_settings import agent_settings
 from t4nmtd_dist.method.compiled import CompiledTask
 from t4nmtd_dist.wire.messages import LearnerStats
 
@@ -83,7 +84,7 @@ def _strayed(stats: LearnerStats) -> int:
 def _advice(stats: LearnerStats, task: CompiledTask) -> list[str]:
     """Likely causes, and settings to try, by how most attempts end."""
     learner = task.config.learner
-    explore = "sac.hold_share or sac.wave_share" if learner.algorithm == "sac" else "ppo.entropy_coefficient"
+    explore = " or ".join(agent_settings(learner.algorithm).exploration)
     ends = {
         "timeouts": (
             f"the target is further away than learner.attempt_steps = {learner.attempt_steps}, or too rare to be "

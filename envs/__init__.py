@@ -16,8 +16,8 @@ from gymnasium.envs.registration import register, registry
 # id: (single environment, batched environment or None), as strings: physics engines are imported when an environment is
 # made.
 _ENTRY_POINTS = {
-    "t4nmtd/FrozenLake-v0": ("envs.frozenlake:FrozenLakeEnv", "envs.frozenlake_batch:FrozenLakeVectorEnv"),
-    "t4nmtd/Waterworld-v0": ("envs.waterworld:WaterworldEnv", "envs.waterworld_batch:WaterworldVectorEnv"),
+    "t4nmtd/FrozenLake-v0": ("envs.frozenlake:FrozenLakeEnv", "envs.frozenlake:FrozenLakeVectorEnv"),
+    "t4nmtd/Waterworld-v0": ("envs.waterworld:WaterworldEnv", "envs.waterworld:WaterworldVectorEnv"),
     "t4nmtd/Racecar-v0": ("envs.racecar:RacecarEnv", None),
     "t4nmtd/HalfCheetah-v0": ("envs.halfcheetah:HalfCheetahEnv", None),
 }

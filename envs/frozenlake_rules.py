@@ -1,8 +1,7 @@
 """The rules of FrozenLake with passengers (tasks 7 and 8), as look-up tables and functions on states.
 
 Gymnasium's FrozenLake, 8x8 and not slippery, in which passengers can be picked up and put down, as in the
-authors' experiments (AAAI 2026). The rules exist once: ``envs.frozenlake`` is a batch of one,
-``envs.frozenlake_batch`` a batch of N.
+authors' experiments (AAAI 2026).
 
 A state, and so a snapshot, is a row of 7 integers: goals, cell, ended, carrying, and the cell of each
 passenger. ``goals`` (1 or 2) names the map, ``ended`` is 1 once the episode has terminated, ``carrying`` is a
@@ -19,7 +18,7 @@ import numpy as np
 from gymnasium import spaces
 from numpy.typing import NDArray
 
-from envs.protocol import checked_choice, checked_snapshots
+from envs.checks import checked_choice, checked_snapshots
 
 Observation = Literal["features", "raw"]
 

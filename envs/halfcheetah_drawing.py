@@ -9,7 +9,7 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from envs.halfcheetah import MARKER_REACH, MARKERS
+from envs.halfcheetah_rules import MARKER_REACH, MARKERS
 from envs.rendering import BLUE, DARK, GREEN, GREY, LABEL_BAND_HEIGHT, ORANGE, PALE, VERMILION, WHITE, Canvas
 
 _WIDTH = 640

@@ -1,4 +1,4 @@
-"""What every environment promises beyond Gymnasium, and the checks of what it is given.
+"""What every environment promises beyond Gymnasium.
 
 Labels. ``propositions`` names the propositions of an environment. After every step and at reset, ``info["labels"]``
 holds those that are true in the state *after* the step. The environment knows nothing of automata and its reward is
@@ -22,7 +22,6 @@ from __future__ import annotations
 from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
-from gymnasium import spaces
 from numpy.typing import ArrayLike, NDArray
 
 
@@ -88,120 +87,3 @@ class SnapshotVectorEnv(Protocol):
                 this environment; no row is changed then.
         """
         ...
-
-
-def checked_choice(keyword: str, value: object, choices: tuple[object, ...]) -> None:
-    """Check the value of a constructor keyword.
-
-    Raises:
-        ValueError: if ``value`` is not one of ``choices``, with the same type.
-    """
-    if not any(type(value) is type(choice) and value == choice for choice in choices):
-        expected = " or ".join(repr(choice) for choice in choices)
-        raise ValueError(f"{keyword} must be {expected}, got {value!r}")
-
-
-def checked_count(num_envs: object) -> int:
-    """The number of copies of a batch.
-
-    Raises:
-        ValueError: if it is not an integer of at least 1.
-    """
-    if type(num_envs) is not int or num_envs < 1:
-        raise ValueError(f"num_envs must be an integer of at least 1, got {num_envs!r}")
-    return num_envs
-
-
-def checked_actions(space: spaces.Discrete, actions: ArrayLike, num_envs: int) -> NDArray[np.intp]:
-    """The actions of a batch as an intp array of shape (num_envs,).
-
-    Args:
-        space: the action space of one environment, numbered from 0.
-        actions: integers, one per environment.
-        num_envs: N.
-
-    Raises:
-        ValueError: if the shape or type is wrong or an action is not in ``space``; names space and value.
-    """
-    array = np.asarray(actions)
-    if array.shape != (num_envs,) or array.dtype.kind not in "iu":
-        raise ValueError(
-            f"actions must be integers of shape ({num_envs},) in {space}, "
-            f"got {array.dtype} of shape {array.shape}: {actions!r}"
-        )
-    # Seen as unsigned numbers the negative ones are huge, so that one reduction checks both ends.
-    numbers = array.astype(np.intp, copy=False)
-    if numbers.view(np.uintp).max() >= space.n:
-        row = int(np.flatnonzero((numbers < 0) | (numbers >= space.n))[0])
-        raise ValueError(f"action {array[row]} of row {row} is not in {space}")
-    return numbers
-
-
-def checked_action(space: spaces.Discrete, action: object) -> int:
-    """One discrete action as an int.
-
-    Args:
-        space: the action space, numbered from 0.
-        action: an int, a numpy integer or an integer array of shape ().
-
-    Raises:
-        ValueError: if ``action`` is of another type or not in ``space``; names space and value.
-    """
-    array = np.asarray(action)
-    if array.shape != () or array.dtype.kind not in "iu" or not 0 <= int(array) < space.n:
-        raise ValueError(f"action {action!r} is not in {space}: expected an integer from 0 to {space.n - 1}")
-    return int(array)
-
-
-def checked_indices(indices: ArrayLike, num_envs: int) -> NDArray[np.intp]:
-    """Row numbers of a batch as an intp array of shape (k,).
-
-    Raises:
-        ValueError: if they are not integers in one dimension, or one is not in 0..num_envs-1.
-    """
-    array = np.asarray(indices)
-    if array.size == 0 and array.ndim == 1:
-        return np.empty(0, dtype=np.intp)
-    if array.ndim != 1 or array.dtype.kind not in "iu":
-        raise ValueError(f"row indices must be integers of shape (k,), got {array.dtype} {array.shape}: {indices!r}")
-    outside = (array < 0) | (array >= num_envs)
-    if outside.any():
-        raise ValueError(f"row index {array[outside][0]} is not in 0..{num_envs - 1}")
-    return array.astype(np.intp, copy=False)
-
-
-def checked_reset_mask(mask: object, num_envs: int) -> NDArray[np.bool_]:
-    """The ``reset_mask`` option of a batched reset, a bool array of shape (num_envs,).
-
-    Raises:
-        ValueError: if it is anything else, or true nowhere (as gymnasium's own vector environments do).
-    """
-    if not isinstance(mask, np.ndarray) or mask.dtype != np.bool_ or mask.shape != (num_envs,):
-        raise ValueError(f"options['reset_mask'] must be a bool array of shape ({num_envs},), got {mask!r}")
-    if not mask.any():
-        raise ValueError("options['reset_mask'] is true nowhere: expected at least one row to reset")
-    return mask
-
-
-def checked_snapshots(env: str, states: object, count: int, size: int, kind: str) -> NDArray[Any]:
-    """Check type, shape and finiteness of snapshots; what their values mean is the environment's to check.
-
-    Args:
-        env: name of the environment, for the message.
-        states: what should be an array of shape (count, size).
-        count: number of snapshots.
-        size: length of one snapshot.
-        kind: numpy kind codes that are allowed, such as ``"i"`` or ``"f"``.
-
-    Raises:
-        ValueError: if they are not such an array, or hold NaN or infinity.
-    """
-    if not isinstance(states, np.ndarray) or states.dtype.kind not in kind or states.shape != (count, size):
-        came = f"{states.dtype} {states.shape}" if isinstance(states, np.ndarray) else type(states).__name__
-        raise ValueError(
-            f"{env} expects {count} snapshot(s), an array of shape ({count}, {size}), dtype kind {kind!r}, "
-            f"got {came}: {states!r}"
-        )
-    if states.dtype.kind == "f" and not np.isfinite(states).all():
-        raise ValueError(f"a snapshot of {env} must be finite, got {states!r}")
-    return states

@@ -1,22 +1,20 @@
-"""Waterworld: the single environment, and how it is drawn."""
+"""Waterworld: N ponds, moved by pymunk and observed together, and the single pond as a batch of one."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from itertools import compress
 from typing import Any
 
-import gymnasium
 import numpy as np
-from numpy.typing import NDArray
+from gymnasium.utils.seeding import np_random
+from numpy.typing import ArrayLike, NDArray
 
-from envs.box_actions import checked_box_actions, symmetric_box
-from envs.protocol import checked_choice
-from envs.waterworld_maps import BALLS_PER_COLOUR, SIDE, Palette, checked_map, palette_of, starting_balls
+from envs.action_checks import checked_box_actions, symmetric_box
+from envs.batch_of_one import BatchOfOne
+from envs.snapshot_batch import Rows, SnapshotBatch
+from envs.waterworld_maps import Palette, checked_map, palette_of, starting_balls
 from envs.waterworld_ponds import Ponds
 from envs.waterworld_rules import (
-    AGENT,
-    RADIUS,
     START,
     TOP_COMMAND,
     Observation,
@@ -27,11 +25,83 @@ from envs.waterworld_rules import (
     to_states,
 )
 
-_SCALE = 16  # pixels per unit
-_MARGIN = 12  # pixels around the field
+
+class WaterworldVectorEnv(SnapshotBatch):
+    """N ponds as described in ``WaterworldEnv``. No pond ever terminates.
+
+    With ``map="random"`` row i reset with seed s draws the maps of a single environment reset with s + i.
+    """
+
+    metadata = {**SnapshotBatch.metadata, "render_fps": 10}  # noqa: RUF012 - gymnasium's own convention
+
+    def __init__(
+        self,
+        num_envs: int = 1,
+        colours: int = 6,
+        map: int | str = "paper",
+        observation: Observation = "features",
+        render_mode: str | None = None,
+    ) -> None:
+        """Make N ponds in a start state.
+
+        Args:
+            num_envs: N, at least 1.
+            colours: 6 (18 balls, task 1) or 8 (24 balls, task 2).
+            map: "paper", a seed for a map that is drawn once, or "random" for a fresh map at every reset.
+            observation: "features" or "raw".
+            render_mode: None or "rgb_array".
+
+        Raises:
+            ValueError: if an argument is none of these.
+        """
+        self.palette = palette_of(colours)
+        self._commands = symmetric_box(TOP_COMMAND, 2)
+        observed = observation_space(self.palette, observation)
+        super().__init__(num_envs, self.palette.colours, observed, self._commands, render_mode)
+        self._map = checked_map(map)
+        self._observation = observation
+        self.generators = [np_random()[0] for _ in range(num_envs)]
+        self._ponds = Ponds(self.palette, num_envs)
+        self._reported = self._ponds.touches()
+        self._start(np.arange(num_envs), None)
+
+    def _start(self, rows: Rows, seed: int | None) -> None:
+        if seed is not None:
+            for row in rows.tolist():
+                self.generators[row] = np_random(seed + row)[0]
+        self._put(rows, start_states(self.palette, self._map, [self.generators[row] for row in rows]))
+
+    def _advance(self, actions: ArrayLike) -> NDArray[np.bool_]:
+        commands = checked_box_actions(self._commands, TOP_COMMAND, actions, (self.num_envs, 2))
+        self._reported = self._ponds.step(commands)
+        return np.zeros(self.num_envs, dtype=np.bool_)
+
+    def _observe(self) -> NDArray[np.float32]:
+        return observe(self.palette, self._ponds.states, self._observation)
+
+    def _labels(self) -> NDArray[np.bool_]:
+        return self._reported.copy()
+
+    def _snapshots(self, rows: Rows) -> NDArray[np.float64]:
+        return to_snapshots(self._ponds.states[:, rows])
+
+    def _restore(self, rows: Rows, snapshots: NDArray[Any]) -> NDArray[np.float32]:
+        restored = checked_states(self.palette, snapshots, rows.size)
+        self._put(rows, restored)
+        return observe(self.palette, restored, self._observation)
+
+    def _put(self, rows: Rows, states: NDArray[np.float64]) -> None:
+        """Put ``rows`` into states (4, k, balls + 1); their labels are what is touched there."""
+        self._ponds.put(rows, states)
+        self._reported[rows] = self._ponds.touches()[rows]
+
+    def _picture(self, row: int) -> NDArray[np.uint8]:
+        from envs.waterworld_drawing import render_pond
+
+        return render_pond(self.palette, self._ponds.states[:, row], self._reported[row])
 
 
-class WaterworldEnv(gymnasium.Env[NDArray[Any], Any]):
+class WaterworldEnv(BatchOfOne):
     """One pond of balls; id ``t4nmtd/Waterworld-v0``, contract in ``envs.protocol.SnapshotEnv``.
 
     The agent and three balls of each colour move in a field of 30 by 30, the balls by straight lines that
@@ -79,70 +149,7 @@ class WaterworldEnv(gymnasium.Env[NDArray[Any], Any]):
         Raises:
             ValueError: if an argument is none of these.
         """
-        checked_choice("render_mode", render_mode, (None, "rgb_array"))
-        self.palette = palette_of(colours)
-        self.propositions: tuple[str, ...] = self.palette.colours
-        self.observation_space = observation_space(self.palette, observation)
-        self.action_space = self._commands = symmetric_box(TOP_COMMAND, 2)
-        self.render_mode = render_mode
-        self._map = checked_map(map)
-        self._observation = observation
-        self._ponds = Ponds(self.palette, 1)
-        self._put(start_states(self.palette, self._map, [self.np_random]))
-
-    def reset(
-        self, *, seed: int | None = None, options: dict[str, Any] | None = None
-    ) -> tuple[NDArray[np.float32], dict[str, Any]]:
-        """The agent in the middle at rest, the balls as the map says. Options are ignored.
-
-        Args:
-            seed: decides the maps of ``map="random"``; without effect otherwise.
-            options: ignored.
-        """
-        super().reset(seed=seed)
-        self._put(start_states(self.palette, self._map, [self.np_random]))
-        return self._observe(), self._info()
-
-    def step(self, action: Any) -> tuple[NDArray[np.float32], float, bool, bool, dict[str, Any]]:
-        """Command a velocity, array of shape (2,).
-
-        Raises:
-            ValueError: if ``action`` has another shape or type, holds NaN or is not within +-3.5.
-        """
-        command = checked_box_actions(self._commands, TOP_COMMAND, action, (2,))
-        self._labels = self._ponds.step(command[None])
-        return self._observe(), 0.0, False, False, self._info()
-
-    def get_state(self) -> NDArray[np.float64]:
-        """A snapshot: float64 array of shape (76,) or (100,), see ``envs.waterworld_rules``."""
-        snapshot: NDArray[np.float64] = to_snapshots(self._ponds.states)[0]
-        return snapshot
-
-    def set_state(self, state: NDArray[Any]) -> NDArray[np.float32]:
-        """Restore a snapshot; returns the observation there.
-
-        Raises:
-            ValueError: if ``state`` is no snapshot of a Waterworld with these colours; nothing changes then.
-        """
-        self._put(checked_states(self.palette, state[None] if isinstance(state, np.ndarray) else state, 1))
-        return self._observe()
-
-    def render(self) -> NDArray[np.uint8] | None:
-        """The pond and its labels, uint8 array of shape (540, 504, 3); None without a render mode."""
-        if self.render_mode is None:
-            return None
-        return render_pond(self.palette, self._ponds.states[:, 0], self._labels[0])
-
-    def _put(self, states: NDArray[np.float64]) -> None:
-        self._ponds.put([0], states)
-        self._labels = self._ponds.touches()
-
-    def _observe(self) -> NDArray[np.float32]:
-        observation: NDArray[np.float32] = observe(self.palette, self._ponds.states, self._observation)[0]
-        return observation
-
-    def _info(self) -> dict[str, Any]:
-        return {"labels": frozenset(compress(self.propositions, self._labels[0]))}
+        super().__init__(WaterworldVectorEnv(1, colours, map, observation, render_mode))
 
 
 def start_states(palette: Palette, choice: int | str, generators: Sequence[np.random.Generator]) -> NDArray[np.float64]:
@@ -155,59 +162,3 @@ def start_states(palette: Palette, choice: int | str, generators: Sequence[np.ra
     """
     maps = [np.append(starting_balls(palette, choice, generator), START) for generator in generators]
     return to_states(np.stack(maps))
-
-
-def render_pond(palette: Palette, state: NDArray[np.float64], labels: NDArray[np.bool_]) -> NDArray[np.uint8]:
-    """A picture of one state (4, balls + 1) with labels (colours,): uint8 array of shape (540, 504, 3)."""
-    from envs.rendering import GREY, LABEL_BAND_HEIGHT, PALE, Canvas
-
-    size = SIDE * _SCALE + 2 * _MARGIN
-    canvas = Canvas(size, size + LABEL_BAND_HEIGHT, PALE)
-    edges = (_MARGIN, _MARGIN, size - _MARGIN, size - _MARGIN)
-    canvas.rectangle(edges, fill=(190, 220, 238), outline=GREY, width=2)
-    for number, ball in enumerate(state.T[:AGENT]):
-        _draw_ball(canvas, ball, _paint()[palette.colours[number // BALLS_PER_COLOUR]])
-    _draw_agent(canvas, state.T[AGENT])
-    canvas.label_band(palette.colours, set(compress(palette.colours, labels)))
-    return canvas.to_array()
-
-
-def _paint() -> dict[str, Any]:
-    from envs.rendering import BLACK, WHITE
-
-    return {
-        "red": (214, 39, 40),
-        "green": (34, 150, 60),
-        "blue": (31, 80, 200),
-        "pink": (255, 130, 190),
-        "black": BLACK,
-        "white": WHITE,
-        "grey": (128, 132, 138),
-        "yellow": (245, 215, 30),
-    }
-
-
-def _pixels(x: float, y: float) -> tuple[float, float]:
-    """Where a place of the field is in the picture; y points up in the field."""
-    return _MARGIN + x * _SCALE, _MARGIN + (SIDE - y) * _SCALE
-
-
-def _draw_ball(canvas: Any, ball: NDArray[np.float64], colour: Any) -> None:
-    """A disc, and a line to where it will be after the next step."""
-    from envs.rendering import DARK
-
-    x, y = _pixels(ball[0], ball[1])
-    canvas.line([(x, y), _pixels(ball[0] + ball[2], ball[1] + ball[3])], colour, 2)
-    canvas.disc(x, y, RADIUS * _SCALE, fill=colour, outline=DARK, width=1)
-
-
-def _draw_agent(canvas: Any, agent: NDArray[np.float64]) -> None:
-    """An orange disc, the box within which centres of balls touch it, and its velocity."""
-    from envs.rendering import DARK, ORANGE
-
-    x, y = _pixels(agent[0], agent[1])
-    reach = 2 * RADIUS * _SCALE
-    canvas.line([(x, y), _pixels(agent[0] + agent[2], agent[1] + agent[3])], ORANGE, 3)
-    canvas.rectangle((x - reach, y - reach, x + reach, y + reach), outline=DARK, width=1.5)
-    canvas.disc(x, y, RADIUS * _SCALE, fill=ORANGE, outline=DARK, width=2)
-    canvas.text(x, y, "A", DARK, 12)

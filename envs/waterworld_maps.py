@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from envs.protocol import checked_choice
+from envs.checks import checked_choice
 
 SIDE = 30
 BALLS_PER_COLOUR = 3

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable
 from typing import Any
 
 import numpy as np
@@ -106,9 +106,9 @@ class Ponds:
         self.states = np.zeros((4, count, palette.balls + 1))
         self._first_copies = range(0, count, COPIES_PER_SPACE)
         self._ponds = [Pond(self.states[:, i : i + COPIES_PER_SPACE]) for i in self._first_copies]
-        self.put(range(count), self.states.copy())
+        self.put(np.arange(count), self.states.copy())
 
-    def put(self, rows: Sequence[int], states: NDArray[np.float64]) -> None:
+    def put(self, rows: NDArray[np.intp], states: NDArray[np.float64]) -> None:
         """Put the copies ``rows`` into states of shape (4, len(rows), balls + 1)."""
         self.states[:, rows] = states
         displaced = np.zeros(self.states.shape[1:], dtype=np.bool_)

@@ -17,7 +17,7 @@ import numpy as np
 from gymnasium import spaces
 from numpy.typing import NDArray
 
-from envs.protocol import checked_choice, checked_snapshots
+from envs.checks import checked_choice, checked_snapshots
 from envs.waterworld_maps import BALLS_PER_COLOUR, SIDE, Palette
 
 Observation = Literal["features", "raw"]

@@ -1,14 +1,24 @@
-"""Fixtures of several test files."""
+"""Fixtures of several test files, and which tests start processes."""
 
 from __future__ import annotations
 
+import re
 import signal
-from collections.abc import Iterator
+import sys
+from collections.abc import Generator, Iterator
+from pathlib import Path
+from typing import Any
 
 import pytest
+import torch
+from processes import Processes
 
-from t4nmtd_dist.wire.sockets import Context, new_context
+from t4nmtd_dist.wire.zmq_types import Context, new_context
 from workers.critic_service import CriticService
+
+PROCESS_FIXTURES = {"processes", "attacked", "held"}
+OUR_CODE = re.compile(r"(?:^|import |from )(?:t4nmtd_dist|coordinator|workers|envs)\b")
+_running: list[pytest.Item] = []
 
 
 def pytest_configure() -> None:
@@ -16,6 +26,33 @@ def pytest_configure() -> None:
     for number, default in ((signal.SIGINT, signal.default_int_handler), (signal.SIGHUP, signal.SIG_DFL)):
         if signal.getsignal(number) is signal.SIG_IGN:
             signal.signal(number, default)
+    torch.set_num_threads(1)  # as in every process of a run; two test processes would compete for the cores
+    sys.addaudithook(_check_marked)
+
+
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """Mark the tests that take a fixture that starts processes."""
+    for item in items:
+        if not PROCESS_FIXTURES.isdisjoint(getattr(item, "fixturenames", ())):
+            item.add_marker("process")
+
+
+@pytest.hookimpl(wrapper=True, tryfirst=True)
+def pytest_runtest_protocol(item: pytest.Item) -> Generator[None, Any, Any]:
+    """Remember which test runs, its fixtures included."""
+    _running[:] = [item]
+    try:
+        return (yield)
+    finally:
+        _running.clear()
+
+
+def _check_marked(event: str, arguments: tuple[Any, ...]) -> None:
+    """Refuse to start a program of ours in a test that is not marked with ``process``."""
+    if event == "subprocess.Popen" and _running and not _running[0].get_closest_marker("process"):
+        program, *rest = map(str, arguments[1])
+        if Path(program).name.startswith("t4nmtd") or any(OUR_CODE.search(argument) for argument in rest):
+            raise RuntimeError(f"this test starts {program}: mark it with pytest.mark.process")
 
 
 @pytest.fixture(autouse=True, scope="session")
@@ -24,6 +61,14 @@ def _state_folder(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
     with pytest.MonkeyPatch.context() as patch:
         patch.setenv("XDG_STATE_HOME", str(tmp_path_factory.mktemp("state")))
         yield
+
+
+@pytest.fixture
+def processes(tmp_path: Path) -> Iterator[Processes]:
+    """Starts commands in a folder of the test, and ends them with it."""
+    started = Processes(tmp_path)
+    yield started
+    started.end()
 
 
 @pytest.fixture

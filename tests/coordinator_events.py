@@ -140,4 +140,4 @@ class Conversation:
             pid: [(cursor, q, state.tobytes()) for cursor, q, state in record.buffer.since(0, 10**6)]
             for pid, record in self.state.records.items()
         }
-        return self.state.high_level.entries(), buffers, self.state.interactions
+        return self.state.method.entries(), buffers, self.state.interactions

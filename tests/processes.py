@@ -17,7 +17,8 @@ import pytest
 
 from t4nmtd_dist.runs.directory import ENDPOINTS_FILE
 from t4nmtd_dist.wire.messages import DashboardState
-from t4nmtd_dist.wire.sockets import new_context, receive, subscribe
+from t4nmtd_dist.wire.sockets import receive, subscribe
+from t4nmtd_dist.wire.zmq_types import new_context
 
 SCRIPTS = Path(sysconfig.get_path("scripts"))
 POLL_S = 0.05

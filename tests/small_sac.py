@@ -8,11 +8,12 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from t4nmtd_dist.agents.common.networks import part_of
+from t4nmtd_dist.agents.common.off_policy import OffPolicyLearner
 from t4nmtd_dist.agents.common.peer_values import LocalPeers, PeerValues, Questions
 from t4nmtd_dist.agents.registry import build_learner
-from t4nmtd_dist.agents.sac.agent import SACLearner
+from t4nmtd_dist.agents.sac.agent import SAC
 from t4nmtd_dist.agents.sac.fast_cpu.update import SACUpdater
+from t4nmtd_dist.agents.weights import part_of
 from t4nmtd_dist.method.compiled import CompiledTask, compile_task
 from t4nmtd_dist.method.start_states import InitialStateBuffer
 from t4nmtd_dist.tasks import load_task
@@ -51,13 +52,16 @@ AT_G4 = car_at(-0.75, 0.75)
 BEFORE_WALL = car_at(1.45, 0.3, vx=0.5)  # meets it in the next step, which the step after that reports
 
 
-def small_sac(pid: str, *flags: str, starts: tuple[Place, ...] = (), name: str = "task5", seed: int = 0) -> SACLearner:
+def small_sac(
+    pid: str, *flags: str, starts: tuple[Place, ...] = (), name: str = "task5", seed: int = 0
+) -> OffPolicyLearner:
     """A learner whose buffer holds ``starts`` as (DFA state, snapshot)."""
     task, buffer = small_sac_task(*flags, name=name), InitialStateBuffer(100)
     for q, state in starts:
         buffer.add(q, state)
-    learner = build_learner(task, pid, buffer, task.q_table(), seed=seed)
-    assert isinstance(learner, SACLearner)
+    learner = build_learner(task, pid, buffer, task.method(), seed=seed)
+    assert isinstance(learner, OffPolicyLearner)
+    assert isinstance(learner.agent, SAC)
     return learner
 
 
@@ -92,16 +96,16 @@ class CheckedPeers(LocalPeers):
         silent: every so manieth question stays without an answer; 0 for none.
     """
 
-    def __init__(self, learners: dict[str, SACLearner], silent: int = 0) -> None:
+    def __init__(self, learners: dict[str, OffPolicyLearner], silent: int = 0) -> None:
         super().__init__({pid: self._checked(learner) for pid, learner in learners.items()})
         self._silent, self._turn = silent, 0
         self.questions: list[tuple[int, int, str, Floats, int]] = []  # with the number of the batch
         self.gathered: list[PeerValues] = []
         self.evaluated = 0
 
-    def _checked(self, learner: SACLearner):  # type: ignore[no-untyped-def]
+    def _checked(self, learner: OffPolicyLearner):  # type: ignore[no-untyped-def]
         def values(observations: Floats, q: NDArray[np.int32]) -> Floats:
-            expected = twin(learner.updater).soft_values(product_states(observations, q))
+            expected = twin(learner.agent.updater).soft_values(product_states(observations, q))
             found = learner.critic_values(observations, q)
             np.testing.assert_allclose(found, np.stack(expected, axis=1), atol=1e-6)
             self.evaluated += len(q)

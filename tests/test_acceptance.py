@@ -30,7 +30,8 @@ from t4nmtd_dist.method.compiled import CompiledTask, compile_task
 from t4nmtd_dist.method.decomposition import Keep, decompose
 from t4nmtd_dist.policy.evaluation import Evaluator
 from t4nmtd_dist.policy.export import export_policy
-from t4nmtd_dist.policy.global_policy import GlobalPolicy, load
+from t4nmtd_dist.policy.global_policy import GlobalPolicy
+from t4nmtd_dist.policy.loading import load
 from t4nmtd_dist.tasks import load_task, task_names
 
 HERE = Path(__file__).parent

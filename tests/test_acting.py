@@ -14,10 +14,11 @@ from numpy.typing import NDArray
 from small_sac import small_sac, small_sac_task
 from small_tasks import CARRYING_2, START, small_learner, small_task
 
-from t4nmtd_dist.agents.sac import networks as sac_networks
+from t4nmtd_dist.agents.sac.fast_cpu import forward
 from t4nmtd_dist.core.errors import PolicyError
 from t4nmtd_dist.policy.export import POLICY_FILE, export_policy
-from t4nmtd_dist.policy.global_policy import GlobalPolicy, load
+from t4nmtd_dist.policy.global_policy import GlobalPolicy
+from t4nmtd_dist.policy.loading import load
 
 PROBABILITIES = (0.6, 0.3, 0.1, 0.0, 0.0, 0.0)
 LAKE = np.zeros(83, np.float32)
@@ -38,17 +39,17 @@ def lottery() -> dict[str, NDArray[np.float32]]:
 def lake_policy(**options: Any) -> GlobalPolicy:
     task = small_task()
     actors = {pid: lottery() for pid in task.decomposition.pids}
-    return GlobalPolicy(task.config, task.dfa, task.decomposition, [(START, "p2", 1.0)], actors, task.rho, **options)
+    return GlobalPolicy(task, [(START, "p2", 1.0)], actors, **options)
 
 
 def car_policy(**options: Any) -> GlobalPolicy:
     task = small_sac_task()
     actors = {pid: small_sac(pid).weights() for pid in ("g1", "g2")}
-    return GlobalPolicy(task.config, task.dfa, task.decomposition, [], actors, task.rho, **options)
+    return GlobalPolicy(task, [], actors, **options)
 
 
 def car_observation() -> NDArray[np.float32]:
-    return small_sac("g1").attempts.observations[0]
+    return small_sac("g1").rollout.observations[0]
 
 
 def acted(policy: GlobalPolicy, observation: NDArray[np.float32], count: int, **options: Any) -> list[Any]:
@@ -154,13 +155,13 @@ def test_a_categorical_acts_on_one_thread_and_the_users_setting_survives() -> No
 
 @pytest.mark.usefixtures("three_threads")
 def test_a_gaussian_acts_on_one_thread_and_the_users_setting_survives(monkeypatch: pytest.MonkeyPatch) -> None:
-    policy, seen, multiply_add = car_policy(), list[int](), sac_networks.multiply_add
+    policy, seen, multiply_add = car_policy(), list[int](), forward.multiply_add
 
     def watched(*arguments: Any) -> None:
         seen.append(torch.get_num_threads())
         multiply_add(*arguments)
 
-    monkeypatch.setattr(sac_networks, "multiply_add", watched)
+    monkeypatch.setattr(forward, "multiply_add", watched)
     policy.act(car_observation(), ())
     assert set(seen) == {1}
     assert torch.get_num_threads() == 3

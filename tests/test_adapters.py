@@ -18,12 +18,15 @@ from own_environments import LEFT, LENGTH, RIGHT
 
 from t4nmtd_dist.core.config import EnvironmentConfig
 from t4nmtd_dist.core.errors import EnvError
-from t4nmtd_dist.environments.attribute_state import CannotRestoreError, pack, restored
-from t4nmtd_dist.environments.batched import BatchedEnv, LoopedEnv, make_env
+from t4nmtd_dist.environments.batched import BatchedEnv
+from t4nmtd_dist.environments.looped_env import LoopedEnv
+from t4nmtd_dist.environments.make_env import make_env
 from t4nmtd_dist.environments.observations import flattener
-from t4nmtd_dist.environments.restoring import choose_snapshots, chosen, with_snapshots
-from t4nmtd_dist.environments.restoring_words import difference
-from t4nmtd_dist.environments.single_env import EnvironmentCopy
+from t4nmtd_dist.environments.restore_messages import difference
+from t4nmtd_dist.environments.single_env import SingleEnv
+from t4nmtd_dist.environments.snapshot_choice import choose_snapshots, with_choice, with_snapshots
+from t4nmtd_dist.environments.state_decoding import decode_state
+from t4nmtd_dist.environments.state_encoding import CannotRestoreError, encode_state
 from t4nmtd_dist.wire.codec import Envelope, decode, encode
 from t4nmtd_dist.wire.messages import Release
 
@@ -389,7 +392,7 @@ def test_other_actions_are_refused_by_name(space: Any, monkeypatch: pytest.Monke
     made.action_space = space
     monkeypatch.setattr(own_environments, "Corridor", lambda: made)
     with pytest.raises(EnvError, match=r"action space .* is not supported"):
-        EnvironmentCopy(environment("Corridor"), NAMES)
+        SingleEnv(environment("Corridor"), NAMES)
 
 
 # States of objects as bytes
@@ -410,10 +413,10 @@ TREES = st.recursive(
 
 @given(value=TREES, other=TREES)
 def test_plain_data_comes_back_whatever_was_there(value: Any, other: Any) -> None:
-    packed = pack(value)
-    fresh = restored(packed, other)
+    packed = encode_state(value)
+    fresh = decode_state(packed, other)
     assert fresh == value
-    assert pack(fresh) == packed
+    assert encode_state(fresh) == packed
 
 
 @dataclasses.dataclass
@@ -428,12 +431,12 @@ def test_objects_are_restored_where_they_are_so_that_others_see_it() -> None:
     rng, legacy = np.random.default_rng(3), np.random.RandomState(3)
     thing = Thing(grid, rng, [deque([1, 2]), legacy, np.float64(0.5), 2**70])
     thing.self_reference = thing  # type: ignore[attr-defined]
-    alias, packed = grid, pack(thing)
+    alias, packed = grid, encode_state(thing)
     drawn = rng.random(3).tolist(), legacy.rand(3).tolist()
     grid += 1
     thing.friend[0].append(9)
     thing.later = "an attribute that was not there"  # type: ignore[attr-defined]
-    assert restored(packed, thing) is thing
+    assert decode_state(packed, thing) is thing
     assert alias.tolist() == np.arange(6.0).reshape(2, 3).tolist()
     assert thing.place is alias
     assert thing.friend[0] == deque([1, 2])
@@ -445,9 +448,9 @@ def test_objects_are_restored_where_they_are_so_that_others_see_it() -> None:
 
 def test_objects_that_are_gone_cannot_be_made_again() -> None:
     with pytest.raises(CannotRestoreError, match="NoneType"):
-        restored(pack(Thing(1)), None)
+        decode_state(encode_state(Thing(1)), None)
 
 
 def test_the_room_that_was_chosen_is_kept() -> None:
     config = environment("Corridor", snapshot_bytes=4000)
-    assert chosen(config, choose_snapshots(config, NAMES)).snapshot_bytes == 4000
+    assert with_choice(config, choose_snapshots(config, NAMES)).snapshot_bytes == 4000

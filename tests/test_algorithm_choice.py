@@ -19,7 +19,6 @@ from t4nmtd_dist.environments.decisions import with_algorithm
 from t4nmtd_dist.environments.preparation import prepared
 from t4nmtd_dist.launch.serial import SerialRun
 from t4nmtd_dist.method.compiled import CompiledTask, compile_task
-from t4nmtd_dist.runs.resuming import read_stopped_run
 from t4nmtd_dist.tasks import load_task, task_names
 
 ROOT = Path(__file__).parent.parent
@@ -112,6 +111,7 @@ def train(*arguments: str) -> int:
     return subprocess.run(command, capture_output=True, text=True, timeout=90).returncode
 
 
+@pytest.mark.process
 def test_a_run_writes_down_what_was_chosen_and_goes_on_with_it(tmp_path: Path) -> None:
     path, run = own_task(tmp_path, PUSHED), tmp_path / "run"
     flags = ("--set", "learner.hidden=[8]", "--max-interactions", "200")
@@ -121,12 +121,3 @@ def test_a_run_writes_down_what_was_chosen_and_goes_on_with_it(tmp_path: Path) -
     assert written["normalise_observations"] == "on"
     assert train("--resume", str(run), "--max-interactions", "400") == 3
     assert tomllib.loads((run / "config.toml").read_text(encoding="utf-8"))["learner"] == written
-
-
-def test_runs_of_before_there_was_normalisation_go_on_without(tmp_path: Path) -> None:
-    path, run = own_task(tmp_path, PUSHED), tmp_path / "run"
-    flags = ("--set", "learner.hidden=[8]", "--set", "learner.normalise_observations=off", "--max-interactions", "200")
-    assert train("--task", str(path), "--run-dir", str(run), *flags) == 3
-    text = (run / "config.toml").read_text(encoding="utf-8")
-    (run / "config.toml").write_text(text.replace('normalise_observations = "off"\n', ""), encoding="utf-8")
-    assert read_stopped_run(run).config.learner.normalise_observations == "off"

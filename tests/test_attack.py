@@ -5,7 +5,6 @@ from __future__ import annotations
 import functools
 import re
 import time
-from collections.abc import Iterator
 from pathlib import Path
 
 import attacks
@@ -14,21 +13,14 @@ import pytest
 from processes import Processes, endpoints, events, processes_of
 
 from t4nmtd_dist.wire.messages import DashboardState
-from t4nmtd_dist.wire.sockets import new_context
 from t4nmtd_dist.wire.status_client import ask_status
+from t4nmtd_dist.wire.zmq_types import new_context
 
 MALFORMED = 100_000
 SOLVE_S = 240.0
 SETTLE_S = 10.0
 GROWTH = 1.2
 SHARES = {"control": 0.6, "critics": 0.3, "state": 0.1}
-
-
-@pytest.fixture
-def processes(tmp_path: Path) -> Iterator[Processes]:
-    started = Processes(tmp_path)
-    yield started
-    started.end()
 
 
 def busy(state: DashboardState) -> bool:

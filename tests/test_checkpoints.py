@@ -317,3 +317,16 @@ def test_every_subtask_has_a_folder_of_its_own() -> None:
     assert not folders & {"coordinator", "serial"}
     assert checkpoint_folder(Path("c"), "p1") == Path("c/p1")
     assert not any("~" in name for name in folders)
+
+
+def test_a_checkpoint_of_another_version_is_passed_over_with_a_word(tmp_path: Path) -> None:
+    write_checkpoint(tmp_path, ABOUT, {"n": 1})
+    newest = write_checkpoint(tmp_path, ABOUT, {"n": 2})
+    manifest = newest / MANIFEST_FILE
+    manifest.write_text(manifest.read_text().replace('"format": 2', '"format": 1'))
+    said: list[str] = []
+    found = newest_checkpoint(tmp_path, lambda about: True, said.append)
+    assert found is not None
+    assert found.state["n"] == 1
+    assert len(said) == 1
+    assert "written by another version (format 1; this version reads 2)" in said[0]

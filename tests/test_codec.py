@@ -72,15 +72,10 @@ LEARNER = LearnerRow(
     worker="host:1",
     epoch=2,
     version=3,
-    interactions=4,
-    steps_per_s=5.0,
-    updates=6,
-    updates_per_s=7.0,
-    attempts=8,
-    recent_success=None,
     starts_waiting=9,
     heartbeat_age_s=None,
-    intervention=Intervention(),
+    total=LearnerStats(interactions=4, gradient_steps=6, attempts=8),
+    rates={"interactions": 5.0, "gradient_steps": 7.0},
 )
 EXAMPLES: list[Message] = [
     Notice(text="worker p1 ended with code 1\nKeyError"),

@@ -11,6 +11,8 @@ import pytest
 
 from t4nmtd_dist import __version__
 
+pytestmark = pytest.mark.process
+
 MODULES = {
     "t4nmtd": "t4nmtd_dist.cli.main",
     "t4nmtd-coordinator": "t4nmtd_dist.cli.coordinator",

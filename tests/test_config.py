@@ -11,8 +11,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 from small_tasks import own_task
 
-from t4nmtd_dist.core.config import TaskConfig, merge, settings_from_flags, task_config
+from t4nmtd_dist.agents.ppo.config import PPOConfig
+from t4nmtd_dist.core.config import task_config
 from t4nmtd_dist.core.errors import ConfigError
+from t4nmtd_dist.core.setting_sources import merge, settings_from_flags
 from t4nmtd_dist.tasks import load_task, task_names
 
 OWN = """
@@ -47,10 +49,10 @@ def test_defaults_give_way_to_the_task_to_configs_in_order_and_to_flags(own: Pat
     flags = ["ppo.rollout=6"]
     config = load_task(str(own), configs=[first, second], flags=flags)
     plain = load_task(str(own))
-    assert (plain.learner.gamma, plain.learner.attempt_steps, plain.ppo.num_envs) == (0.5, 7, 3)
+    assert (plain.learner.gamma, plain.learner.attempt_steps, plain.agents["ppo"].num_envs) == (0.5, 7, 3)
     assert (config.learner.gamma, config.learner.attempt_steps) == (0.7, 8)
-    assert (config.ppo.rollout, config.ppo.num_envs) == (6, 3)
-    assert config.ppo.epochs == plain.ppo.epochs == TaskConfig.__dataclass_fields__["ppo"].default.epochs
+    assert (config.agents["ppo"].rollout, config.agents["ppo"].num_envs) == (6, 3)
+    assert config.agents["ppo"].epochs == plain.agents["ppo"].epochs == PPOConfig().epochs
 
 
 @pytest.mark.parametrize("name", task_names())
@@ -74,6 +76,20 @@ def test_an_unknown_key_is_named_with_the_nearest_known_one(flag: str, names: tu
     with pytest.raises(ConfigError) as refusal:
         load_task("task7", flags=[flag])
     assert all(name in str(refusal.value) for name in names)
+
+
+@pytest.mark.parametrize(
+    ("flag", "instead"),
+    [
+        ("sac.worlds=3", "sac.num_envs"),
+        ("ppo.worlds=3", "ppo.num_envs"),
+        ("sac.wave_share=0.1", "sac.exploration_share"),
+        ("sac.hold_share=0.1", "sac.exploration_share"),
+    ],
+)
+def test_a_key_of_an_earlier_version_is_refused_with_what_to_use_instead(flag: str, instead: str) -> None:
+    with pytest.raises(ConfigError, match=rf"'{flag.partition('=')[0]}' was a key of an earlier version: .*{instead}"):
+        load_task("task7", flags=[flag])
 
 
 def test_options_of_the_environment_are_its_own_business() -> None:

@@ -179,7 +179,7 @@ class AnyConversation(RuleBasedStateMachine):
     def the_state_can_always_be_published_and_summed_up(self) -> None:
         shown = dashboard_state(self.talk.state)
         assert decode(encode(Envelope(shown))).message == shown
-        assert sum(row.interactions for row in shown.learners) == shown.interactions
+        assert sum(row.total.interactions for row in shown.learners) == shown.interactions
         assert summary(self.talk.state)["interactions_total"] == shown.interactions
 
 

@@ -43,7 +43,8 @@ from t4nmtd_dist.wire.messages import (
     StatusRequest,
     SyncReply,
 )
-from t4nmtd_dist.wire.sockets import Context, receive, subscribe
+from t4nmtd_dist.wire.sockets import receive, subscribe
+from t4nmtd_dist.wire.zmq_types import Context
 
 LARGEST = LearnerStats(
     phase="training",
@@ -64,6 +65,7 @@ LARGEST = LearnerStats(
 @pytest.fixture
 def running(tmp_path: Path, context: Context, monkeypatch: pytest.MonkeyPatch) -> Iterator[Running]:
     monkeypatch.setattr("coordinator.service.FAREWELL_S", 0.0)
+    monkeypatch.setattr("coordinator.service.LONGEST_FAREWELL_S", 4.0)  # nobody here says a last word
     state = CoordinatorState(small_task(), RunSettings(seed=0, max_interactions=10**9))
     service = CoordinatorService(state, tmp_path / "run", Access(FREE_PORT, FREE_PORT), tensorboard="auto")
 
@@ -90,7 +92,9 @@ def can_be_shown_and_kept(state: CoordinatorState, folder: Path) -> None:
     again = CoordinatorState(state.task, state.settings)
     go_on(again, folder, print)
     assert again.interactions == state.interactions
-    assert dashboard_state(again).learners[0].interactions == dashboard_state(state).learners[0].interactions
+    assert (
+        dashboard_state(again).learners[0].total.interactions == dashboard_state(state).learners[0].total.interactions
+    )
 
 
 def test_the_largest_counts_add_up_over_epochs_and_survive_a_resume(tmp_path: Path) -> None:
@@ -263,6 +267,7 @@ def test_a_recorder_that_fails_at_the_end_leaves_a_checkpoint(
     tmp_path: Path, context: Context, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr("coordinator.service.FAREWELL_S", 0.0)
+    monkeypatch.setattr("coordinator.service.LONGEST_FAREWELL_S", 4.0)  # nobody here says a last word
     monkeypatch.setattr(Recorder, "close", raises)
     state = CoordinatorState(small_task(), RunSettings(seed=0, max_interactions=10**9))
     service = CoordinatorService(state, tmp_path / "run", Access(FREE_PORT, FREE_PORT))

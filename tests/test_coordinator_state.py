@@ -185,10 +185,10 @@ def test_changes_teach_the_q_table_and_failures_lower_it() -> None:
     talk = Conversation()
     talk.claim("p1", "w")
     talk.sync("p1", "w", arrays=changes((0, 1, 5, 10.0)))
-    first = talk.state.high_level.value(0, "p1")
+    first = talk.state.method.q_table.value(0, "p1")
     assert first == pytest.approx(10.0)
     talk.sync("p1", "w", sequence=2, arrays=changes((0, -1, 300, 0.0)))
-    assert 0 < talk.state.high_level.value(0, "p1") < first
+    assert 0 < talk.state.method.q_table.value(0, "p1") < first
 
 
 def test_start_states_are_sent_once() -> None:

@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 import zmq
 from numpy.typing import NDArray
+from routers import receive_from
 from small_tasks import CARRYING_2, START, small_learner
 
 from t4nmtd_dist.agents.common.peer_values import NoPeers, PeerValues, Questions
@@ -19,16 +20,8 @@ from t4nmtd_dist.agents.ppo.agent import PATIENCE_S, PPOLearner
 from t4nmtd_dist.wire.codec import Envelope
 from t4nmtd_dist.wire.messages import Failure, Message, Peer, Release, ValueReply, ValueRequest
 from t4nmtd_dist.wire.peers.critic_client import QueryPeers
-from t4nmtd_dist.wire.sockets import (
-    Context,
-    Socket,
-    bind,
-    bound_endpoint,
-    connect,
-    receive,
-    receive_from,
-    send,
-)
+from t4nmtd_dist.wire.sockets import bind, bound_endpoint, connect, receive, send
+from t4nmtd_dist.wire.zmq_types import Context, Socket
 from workers.critic_service import CriticService
 
 WAIT_S = 10.0
@@ -51,7 +44,7 @@ def at(endpoint: str, version: int = 0) -> Peer:
 
 
 def observations(learner: PPOLearner, count: int) -> NDArray[np.float32]:
-    size = learner.attempts.observations.shape[1]
+    size = learner.rollout.observations.shape[1]
     return np.random.default_rng(0).uniform(-1, 1, (count, size)).astype(np.float32)
 
 
@@ -76,7 +69,7 @@ def answered(peers: QueryPeers, questions: list[Question]) -> dict[int, float]:
 def test_the_values_are_those_of_the_published_network(service: CriticService, peers: QueryPeers) -> None:
     learners = {pid: small_learner(pid) for pid in ("g", "p1")}
     for pid, learner in learners.items():
-        learner.attempts.begin()
+        learner.rollout.begin()
         service.serve(pid, learner.published)
     peers.set_peers({pid: at(service.endpoint) for pid in learners})
     rows = observations(learners["g"], 150)

@@ -26,9 +26,11 @@ from t4nmtd_dist.wire.messages import (
     EventLine,
     Intervention,
     LearnerRow,
+    LearnerStats,
     Missing,
     QCell,
 )
+from t4nmtd_dist.wire.statistics import views
 
 SIZES = [(80, 24), (100, 30), (160, 50)]
 PIDS = ("p1", "p2", "p3", "g", "red", "blue", "yellow", "~p1")
@@ -42,15 +44,16 @@ def learner(index: int) -> LearnerRow:
         worker=f"worker-{index}",
         epoch=1,
         version=12,
-        interactions=1000 * (index + 1),
-        steps_per_s=250.0,
-        updates=400,
-        updates_per_s=40.0,
-        attempts=77,
-        recent_success=0.5 if index else None,
         starts_waiting=9,
         heartbeat_age_s=0.3 if index else None,
-        intervention=Intervention(asked=200, answered=150, late=3, own_used=50, lag_total=300),
+        total=LearnerStats(
+            interactions=1000 * (index + 1),
+            gradient_steps=400,
+            attempts=77,
+            recent_success=0.5 if index else None,
+            intervention=Intervention(asked=200, answered=150, late=3, own_used=50, lag_total=300),
+        ),
+        rates={"interactions": 250.0, "gradient_steps": 40.0},
     )
 
 
@@ -138,14 +141,16 @@ def test_page_fills_its_room_exactly_and_shows_every_part(width: int, height: in
 def test_every_learner_has_a_row(width: int, height: int, learners: int) -> None:
     lines = drawn(make_state(learners), width, height)
     for row in make_state(learners).learners:
-        phase = rf"(^|│ ){re.escape(row.pid)} +{row.phase} .*{row.interactions:,}"
+        phase = rf"(^|│ ){re.escape(row.pid)} +{row.phase} .*{row.total.interactions:,}"
         assert any(re.search(phase, text) for text in lines), row.pid
 
 
 def test_learner_row_tells_peer_answers_own_values_lag_and_heartbeat() -> None:
     row = next(text for text in drawn(make_state(), 100, 30) if re.match(r"│ p2 ", text))
     assert "━━━───" in row
-    assert re.search(r"50% +9 +75% +25% +2\.0 +0\.3 s", row)
+    assert re.search(r"50% +75% +25% +2\.0 +9 +0\.3 s", row)
+    headings = next(text for text in drawn(make_state(), 180, 50) if " pid " in text)
+    assert [view.heading for _, view in views() if view.format and view.heading not in headings] == []
 
 
 def test_learners_without_room_are_counted() -> None:
@@ -229,15 +234,17 @@ LEARNERS = st.builds(
     worker=TEXTS,
     epoch=INTS,
     version=INTS,
-    interactions=INTS,
-    steps_per_s=FLOATS,
-    updates=INTS,
-    updates_per_s=FLOATS,
-    attempts=INTS,
-    recent_success=st.none() | FLOATS,
     starts_waiting=INTS,
     heartbeat_age_s=st.none() | FLOATS,
-    intervention=st.builds(Intervention, asked=INTS, answered=INTS, late=INTS, own_used=INTS, lag_total=INTS),
+    total=st.builds(
+        LearnerStats,
+        interactions=INTS,
+        gradient_steps=INTS,
+        attempts=INTS,
+        recent_success=st.none() | FLOATS,
+        intervention=st.builds(Intervention, asked=INTS, answered=INTS, late=INTS, own_used=INTS, lag_total=INTS),
+    ),
+    rates=st.dictionaries(st.sampled_from(["interactions", "gradient_steps"]), FLOATS),
 )
 STATES = st.builds(
     DashboardState,

@@ -1,4 +1,4 @@
-"""Several sub-tasks in one worker: how they are dealt (`t4nmtd train --workers N`), and that they call each other."""
+"""Several sub-tasks in one worker: how they are divided (`t4nmtd train --workers N`), and that they call each other."""
 
 from __future__ import annotations
 
@@ -13,28 +13,28 @@ from small_tasks import small_learner
 
 from t4nmtd_dist.agents.common.peer_values import LocalPeers, Questions
 from t4nmtd_dist.core.errors import ConfigError
-from t4nmtd_dist.launch.local import dealt
+from t4nmtd_dist.launch.program import assign_pids
 
 
 @given(st.integers(1, 30).flatmap(lambda count: st.tuples(st.just(count), st.integers(1, count))))
-def test_sub_tasks_are_dealt_evenly_and_each_once(sizes: tuple[int, int]) -> None:
+def test_sub_tasks_are_divided_evenly_and_each_once(sizes: tuple[int, int]) -> None:
     count, workers = sizes
     pids = [f"p{number}" for number in range(count)]
-    hands = dealt(pids, workers)
-    assert len(hands) == workers
-    assert sorted(pid for hand in hands.values() for pid in hand) == sorted(pids)
-    assert {len(hand) for hand in hands.values()} <= {count // workers, -(-count // workers)}
+    assigned = assign_pids(pids, workers)
+    assert len(assigned) == workers
+    assert sorted(pid for held in assigned.values() for pid in held) == sorted(pids)
+    assert {len(held) for held in assigned.values()} <= {count // workers, -(-count // workers)}
 
 
 def test_by_default_every_sub_task_has_a_worker() -> None:
-    assert dealt(["g", "~p1"], None) == {"g": ["g"], "not-p1": ["~p1"]}
+    assert assign_pids(["g", "~p1"], None) == {"g": ["g"], "not-p1": ["~p1"]}
 
 
 @pytest.mark.parametrize("workers", [1, 2, None])
 def test_the_name_of_a_process_is_one_that_a_file_can_have(workers: int | None, tmp_path: Path) -> None:
-    hands = dealt([f"{'proposition' * 20}{number}" for number in range(16)], workers)
-    assert len(hands) == (workers or 16)
-    for name in hands:
+    assigned = assign_pids([f"{'proposition' * 20}{number}" for number in range(16)], workers)
+    assert len(assigned) == (workers or 16)
+    for name in assigned:
         (tmp_path / f"{name}.log").touch()
 
 
@@ -48,22 +48,22 @@ def test_the_name_of_a_process_is_one_that_a_file_can_have(workers: int | None, 
     ],
 )
 def test_processes_whose_names_would_collide_lose_no_sub_task(pids: list[str], workers: int | None) -> None:
-    hands = dealt(pids, workers)
-    assert sorted(pid for hand in hands.values() for pid in hand) == sorted(pids)
-    assert not {"evaluator", "coordinator"} & hands.keys()
+    assigned = assign_pids(pids, workers)
+    assert sorted(pid for held in assigned.values() for pid in held) == sorted(pids)
+    assert not {"evaluator", "coordinator"} & assigned.keys()
 
 
 @pytest.mark.parametrize("workers", [-1, 0, 5])
 def test_a_number_of_workers_that_cannot_be_is_refused(workers: int) -> None:
     with pytest.raises(ConfigError, match=f"--workers {workers}: expected 1 to 4"):
-        dealt(PIDS, workers)
+        assign_pids(PIDS, workers)
 
 
 def test_peers_in_one_worker_are_called_directly() -> None:
     learners = {pid: small_learner(pid) for pid in ("g", "p1")}
     critics = {pid: learner.critic_values for pid, learner in learners.items()}
     peers, pids = LocalPeers(critics), ("g", "p1", "p9") * 3
-    size = learners["g"].attempts.observations.shape[1]
+    size = learners["g"].rollout.observations.shape[1]
     observations = np.random.default_rng(0).normal(size=(9, size)).astype(np.float32)
     peers.ask(1, Questions(np.arange(9), pids, observations, np.zeros(9, np.int32)))
     peers.ask(2, Questions(np.array([4]), ("g",), observations[:1], np.zeros(1, np.int32)))

@@ -12,7 +12,8 @@ from small_tasks import START, TO_PASSENGER_2, small_learner, small_task, snapsh
 
 from t4nmtd_dist.agents.common.flat_adam import FlatAdam
 from t4nmtd_dist.agents.common.peer_values import NoPeers
-from t4nmtd_dist.agents.ppo.agent import ActorCritic
+from t4nmtd_dist.agents.ppo.networks import ActorCritic
+from t4nmtd_dist.agents.ppo.update import PPOUpdate
 from t4nmtd_dist.agents.registry import build_learner
 from t4nmtd_dist.cli import train as train_module
 from t4nmtd_dist.cli.commands import Train
@@ -94,11 +95,9 @@ def test_adam_of_a_module_is_torchs_adam_bit_for_bit() -> None:
 def test_ppo_computes_gradients_where_its_network_is() -> None:
     """Tensors of the meta device have no numbers: to read one, or to mix it with another device's, is an error."""
     learner = small_learner("p2")
-    learner._device = "meta"  # type: ignore[assignment]
-    learner.network.to("meta")
-    learner._optimiser = FlatAdam.of_module(learner.network, 1e-3)
-    learner._epochs(*np.zeros((2, learner._rollout.rewards.size), np.float32))
-    assert learner.gradient_steps == 4
+    update = PPOUpdate(learner.network.to("meta"), small_task().config.agent, "meta", np.random.default_rng(0), int)
+    update.epochs(learner.trajectory, *np.zeros((2, learner.trajectory.rewards.size), np.float32), 0.1)
+    assert update.gradient_steps == 4
 
 
 @pytest.mark.parametrize("device", [GPU])
@@ -108,7 +107,7 @@ def test_ppo_learns_the_same_on_another_device(device: Device) -> None:
     for place in ("cpu", device):
         buffer = InitialStateBuffer(10)
         buffer.add(START, start)
-        learners.append(build_learner(task, "p2", buffer, task.q_table(), seed=0, device=place))
+        learners.append(build_learner(task, "p2", buffer, task.method(), seed=0, device=place))
         for _ in range(2):
             learners[-1].iterate(NoPeers())
     here, there = learners

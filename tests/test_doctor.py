@@ -21,7 +21,8 @@ from t4nmtd_dist.cli.doctor import Finding, examine, findings
 from t4nmtd_dist.wire.auth.key_folders import add_client, make_coordinator_folder, revoke
 from t4nmtd_dist.wire.auth.keys import new_pair, write_public
 from t4nmtd_dist.wire.messages import PROTOCOL_VERSION
-from t4nmtd_dist.wire.sockets import Context, bind, bound_endpoint
+from t4nmtd_dist.wire.sockets import bind, bound_endpoint
+from t4nmtd_dist.wire.zmq_types import Context
 
 WAIT_S = 2.0
 DEADLINE_S = 20.0

@@ -51,7 +51,7 @@ def task_of_actors(*flags: str) -> CompiledTask:
 
 
 def policy_of(task: CompiledTask, actors: dict[str, Weights]) -> GlobalPolicy:
-    return GlobalPolicy(task.config, task.dfa, task.decomposition, TABLE, actors, task.rho)
+    return GlobalPolicy(task, TABLE, actors)
 
 
 def expert(*flags: str) -> GlobalPolicy:
@@ -130,7 +130,7 @@ hidden = [6]
 """
     task = compile_task(load_task(str(own_task(tmp_path, text))))
     fetch = {0: RIGHT, 1: RIGHT, 2: RIGHT, 3: DOWN, 11: DOWN, 19: DOWN, 27: PICK}
-    policy = GlobalPolicy(task.config, task.dfa, task.decomposition, [], {"p1": actor(task, fetch, LEFT)}, task.rho)
+    policy = GlobalPolicy(task, [], {"p1": actor(task, fetch, LEFT)})
     result = Evaluator(policy, 2, seed=0).run(policy)
     assert not result.success.any()
     assert result.lengths.tolist() == [len(TO_PASSENGER_2) + 1] * 2

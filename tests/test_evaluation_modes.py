@@ -62,7 +62,7 @@ def weights(task: CompiledTask, bias: tuple[float, float]) -> dict[str, NDArray[
 
 def policy_of(task: CompiledTask, bias: tuple[float, float], **options: Any) -> GlobalPolicy:
     actors = {"left": weights(task, bias)}
-    return GlobalPolicy(task.config, task.dfa, task.decomposition, [], actors, task.rho, **options)
+    return GlobalPolicy(task, [], actors, **options)
 
 
 # Settings

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import tomllib
-from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
@@ -15,13 +14,6 @@ NAMES = ("balance", "courier", "doorkey", "reacher")
 MOST_LINES = 60
 MOST_SETTINGS = 3
 LEAST_SUCCESS = 0.97
-
-
-@pytest.fixture
-def processes(tmp_path: Path) -> Iterator[Processes]:
-    started = Processes(tmp_path)
-    yield started
-    started.end()
 
 
 @pytest.mark.parametrize("name", NAMES)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from itertools import groupby
 
 import numpy as np
@@ -10,7 +11,13 @@ from hypothesis import given
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from t4nmtd_dist.agents.common.exploration import FREQUENCIES, LONGEST_HOLD, HeldActionExploration, SinusoidExploration
+from t4nmtd_dist.agents.common.exploration import (
+    FREQUENCIES,
+    LONGEST_HOLD,
+    Exploration,
+    HeldActionExploration,
+    SinusoidExploration,
+)
 
 Floats = NDArray[np.float32]
 
@@ -141,5 +148,46 @@ def test_a_saved_exploration_goes_on_as_it_was() -> None:
         first.drive(policy)
     second.load_state_dict(first.state_dict())
     second._rng.bit_generator.state = first._rng.bit_generator.state
+    for _ in range(30):
+        assert np.array_equal(first.drive(policy), second.drive(policy))
+
+
+def shares_of(kinds: str, share: float, success: float = 0.0) -> tuple[float, float, float]:
+    """Of all attempts: driven throughout, by sinusoids; interrupted by held actions; left to the policy."""
+    count, policy = 4000, np.full((4000, 1), 2.0, np.float32)  # outside the bounds, so that it can be told apart
+    exploration = Exploration(kinds, share, count, 1, np.random.default_rng(0))
+    exploration.begin(everywhere(count), success)
+    own = np.stack([(exploration.drive(policy) == policy).all(axis=1) for _ in range(150)])
+    sinusoid, left = ~own.any(axis=0), own.all(axis=0)
+    return sinusoid.mean(), (~sinusoid & ~left).mean(), left.mean()
+
+
+@pytest.mark.parametrize("success", [0.0, 0.5])
+@pytest.mark.parametrize(
+    ("kinds", "expected"),
+    [
+        ("none", lambda p: (0, 0, 1)),
+        ("held", lambda p: (0, p, 1 - p)),
+        ("sinusoid", lambda p: (p, 0, 1 - p)),
+        ("held+sinusoid", lambda p: (p, p * (1 - p), (1 - p) ** 2)),
+    ],
+)
+def test_each_chosen_kind_drives_the_same_share_under_one_schedule(
+    kinds: str, expected: Callable[[float], tuple[float, float, float]], success: float
+) -> None:
+    share = 0.4
+    assert shares_of(kinds, share, success) == pytest.approx(expected(share * (1 - success) ** 2), abs=0.03)
+
+
+def test_both_kinds_are_saved_and_go_on_as_they_were() -> None:
+    def made() -> Exploration:
+        return Exploration("held+sinusoid", 0.7, 50, 3, np.random.default_rng(4))
+
+    first, second, policy = made(), made(), np.zeros((50, 3), np.float32)
+    first.begin(everywhere(50), 0.2)
+    for _ in range(7):
+        first.drive(policy)
+    second.load_state_dict(first.state_dict())
+    second._held._rng.bit_generator.state = first._held._rng.bit_generator.state
     for _ in range(30):
         assert np.array_equal(first.drive(policy), second.drive(policy))

@@ -6,9 +6,10 @@ import json
 import os
 import shutil
 import signal
+import subprocess
+import sys
 import threading
 import time
-from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -23,9 +24,10 @@ from coordinator.checkpointing import go_on
 from coordinator.events import Interrupted
 from coordinator.run_logger import Recorder
 from coordinator.saved_state import saved_state
+from t4nmtd_dist import policy
 from t4nmtd_dist.core.errors import PolicyError
 from t4nmtd_dist.policy.export import POLICY_FILE, export_policy
-from t4nmtd_dist.policy.global_policy import load
+from t4nmtd_dist.policy.loading import load
 from t4nmtd_dist.runs.checkpoints import write_checkpoint
 from t4nmtd_dist.runs.directory import RunDirectory
 
@@ -35,6 +37,22 @@ EXPORTS = 150
 def about(run: Path) -> dict[str, Any]:
     found: dict[str, Any] = json.loads((run / "policy" / POLICY_FILE).read_text(encoding="utf-8"))["about"]
     return found
+
+
+# Without torch
+
+
+@pytest.mark.process
+def test_a_coordinator_exports_and_reads_policies_without_torch() -> None:
+    code = "import sys, t4nmtd_dist.policy.export; assert not {'torch', 'gymnasium'} & set(sys.modules)"
+    subprocess.run([sys.executable, "-c", code], check=True)
+
+
+def test_the_package_offers_what_its_programs_use() -> None:
+    assert policy.load is load
+    assert {"GlobalPolicy", "load"} <= set(dir(policy))
+    with pytest.raises(AttributeError, match="has no attribute 'lode'"):
+        _ = policy.lode
 
 
 # While others read
@@ -220,13 +238,6 @@ def test_an_exported_policy_that_cannot_be_read_is_told_of_and_not_kept(
 
 
 # A run of processes
-
-
-@pytest.fixture
-def processes(tmp_path: Path) -> Iterator[Processes]:
-    started = Processes(tmp_path)
-    yield started
-    started.end()
 
 
 @pytest.mark.timeout(120)

@@ -6,7 +6,6 @@ import json
 import re
 import shlex
 import signal
-from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
@@ -16,13 +15,6 @@ from t4nmtd_dist.runs.directory import ENDPOINTS_FILE
 
 END_S = 20.0
 SOLVE_S = 250.0
-
-
-@pytest.fixture
-def processes(tmp_path: Path) -> Iterator[Processes]:
-    started = Processes(tmp_path)
-    yield started
-    started.end()
 
 
 def coordinator_of(processes: Processes, task: str, run: Path, *arguments: str) -> Started:

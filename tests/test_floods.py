@@ -18,8 +18,9 @@ from t4nmtd_dist.wire.connection_guard import ConnectionGuard
 from t4nmtd_dist.wire.limits import CONTROL_LIMITS, Limits
 from t4nmtd_dist.wire.messages import DashboardState, Release
 from t4nmtd_dist.wire.secure_receiver import Gate
-from t4nmtd_dist.wire.sockets import Context, bind, bound_endpoint, connect, new_context, receive, send, subscribe
+from t4nmtd_dist.wire.sockets import bind, bound_endpoint, connect, receive, send, subscribe
 from t4nmtd_dist.wire.status_client import ask_status
+from t4nmtd_dist.wire.zmq_types import Context, new_context
 
 MIB = 1 << 20
 DEADLINE_S = 20.0

@@ -16,8 +16,7 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 import envs
-from envs.frozenlake import FrozenLakeEnv
-from envs.frozenlake_batch import FrozenLakeVectorEnv
+from envs.frozenlake import FrozenLakeEnv, FrozenLakeVectorEnv
 from envs.frozenlake_rules import MAPS
 from envs.protocol import SnapshotEnv, SnapshotVectorEnv
 
@@ -254,6 +253,7 @@ def test_worlds_are_registered_without_a_step_limit_and_only_once() -> None:
     assert batch.step([RIGHT] * 3)[0] in batch.observation_space
 
 
+@pytest.mark.process
 def test_an_id_naming_the_package_needs_no_import_and_loads_nothing_heavy() -> None:
     program = (
         "import sys, gymnasium; gymnasium.make('envs:t4nmtd/FrozenLake-v0').reset(); "

@@ -15,7 +15,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from envs.halfcheetah import HalfCheetahEnv, load_model
+from envs.halfcheetah import HalfCheetahEnv
+from envs.halfcheetah_rules import load_model
 from envs.protocol import SnapshotEnv
 from t4nmtd_dist.wire.codec import Envelope, decode, encode
 from t4nmtd_dist.wire.messages import Release

@@ -19,7 +19,7 @@ from t4nmtd_dist.automata.reduction import allowed_symbols, reduce_automaton
 from t4nmtd_dist.automata.translate import translate
 from t4nmtd_dist.core.config import DecompositionConfig, TaskConfig, task_config
 from t4nmtd_dist.core.errors import ConfigError, FormulaError
-from t4nmtd_dist.launch.local import dealt
+from t4nmtd_dist.launch.program import assign_pids
 from t4nmtd_dist.method.compiled import compile_task
 from t4nmtd_dist.method.decomposition import Decomposition, decompose
 from t4nmtd_dist.runs.directory import RunDirectory
@@ -178,7 +178,7 @@ def distances_over(transitions: tuple[tuple[int, int], ...], accepting: frozense
 def test_a_name_is_safe_in_file_names_everywhere(tmp_path: Path) -> None:
     assert file_name("~p1&p2") == "not-p1+p2"
     assert checkpoint_folder(tmp_path, "a&b").name == "a+b"
-    assert dealt(["a&b", "~c"], None) == {"a+b": ["a&b"], "not-c": ["~c"]}
+    assert assign_pids(["a&b", "~c"], None) == {"a+b": ["a&b"], "not-c": ["~c"]}
     RunDirectory(tmp_path / "run").append_metrics("a&~b", {"x": 1})
     assert (tmp_path / "run" / "metrics" / "a+not-b.csv").read_text("utf-8").splitlines() == ["x", "1"]
     events = EventFiles(tmp_path / "board")

@@ -8,7 +8,6 @@ import signal
 import subprocess
 import sys
 import tomllib
-from collections.abc import Iterator
 from pathlib import Path
 
 import gymnasium
@@ -35,13 +34,6 @@ PROGRAMS = {
 }
 FOREIGN = 'raise SystemExit("this module is not meant to be imported")\n'
 SHORT = ("--max-interactions", "3000", "--no-dashboard")
-
-
-@pytest.fixture
-def processes(tmp_path: Path) -> Iterator[Processes]:
-    started = Processes(tmp_path)
-    yield started
-    started.end()
 
 
 # In the current folder
@@ -107,6 +99,7 @@ check_import_names()
 
 
 @pytest.mark.parametrize("hidden", [True, False])
+@pytest.mark.process
 def test_a_folder_without_init_hides_a_package_of_an_editable_installation(hidden: bool, tmp_path: Path) -> None:
     (tmp_path / ("envs" if hidden else "others")).mkdir()
     code = EDITABLE.format(root=str(HERE.parent), lib=str(tmp_path))
@@ -323,9 +316,12 @@ def test_a_worker_killed_from_outside_is_told_in_the_event_log_and_on_the_termin
         assert started.err.count(says) == times - 1
 
 
+@pytest.mark.process
 def test_processes_are_started_without_the_current_folder_on_their_path(tmp_path: Path) -> None:
-    from t4nmtd_dist.launch.local import role
+    from t4nmtd_dist.launch.command_lines import python_command
 
     (tmp_path / "torch.py").write_text(FOREIGN, encoding="utf-8")
-    code = subprocess.run([*role("worker"), "--help"], cwd=tmp_path, capture_output=True, env=dict(os.environ))
+    code = subprocess.run(
+        [*python_command("worker"), "--help"], cwd=tmp_path, capture_output=True, env=dict(os.environ)
+    )
     assert code.returncode == 0, code.stderr

@@ -14,9 +14,12 @@ from rich.console import Console
 
 from t4nmtd_dist.automata.drawing import draw_svg
 from t4nmtd_dist.automata.translate import translate
+from t4nmtd_dist.cli.commands import Inspect
 from t4nmtd_dist.cli.inspect import formula_task, run_inspect
 from t4nmtd_dist.core.errors import ConfigError
+from t4nmtd_dist.method.compiled import compile_task
 from t4nmtd_dist.method.decomposition import decompose
+from t4nmtd_dist.tasks import load_task
 
 SVG = "{http://www.w3.org/2000/svg}"
 BOTH = "F(a & X(F b)) & G(!(a & c))"
@@ -44,6 +47,17 @@ def test_json_has_the_documented_keys() -> None:
     assert (found["dist"][str(accepting)], found["potential"][str(accepting)]) == (0, 100)
     assert list(found["subtasks"]) == ["a", "b"]
     assert found["subtasks"]["a"][0][0] == 0
+
+
+def test_a_random_decomposition_is_that_of_the_seeds_run(capsys: pytest.CaptureFixture[str]) -> None:
+    flags = ["decomposition.mode=random"]
+    config = load_task("task4", flags=flags)
+    shown = []
+    for seed in (0, 3):
+        assert Inspect("task4", seed=seed, set=flags, as_json=True, translator="python").run() == 0
+        shown.append(json.loads(capsys.readouterr().out)["subtasks"])
+        assert shown[-1] == compile_task(config, translator="python", seed=seed).decomposition.to_json()
+    assert shown[0] != shown[1]
 
 
 def test_json_guards_are_lists_of_cubes_of_literals() -> None:
@@ -102,9 +116,18 @@ def test_the_picture_is_written_and_shows_every_state_and_guard(tmp_path: Path) 
 
 def test_transitions_of_two_sub_tasks_are_striped_and_colour_names_keep_their_colour() -> None:
     dfa = translate("F red & F blue", translator="python")
-    picture = draw_svg(dfa, decompose(dfa))
+    picture = draw_svg(dfa, decompose(dfa).subtasks)
     assert "#d62828" in picture
     assert 'stroke-dasharray="9 9"' in picture
+
+
+def test_a_picture_takes_its_colours_from_the_caller() -> None:
+    dfa = translate("F red & F blue", translator="python")
+    picture = draw_svg(
+        dfa, {"first": [(dfa.initial, target) for q, target in dfa.edges if q == dfa.initial]}, {"first": "#123456"}
+    )
+    assert "#123456" in picture
+    assert "#d62828" not in picture
 
 
 def test_a_picture_file_that_cannot_be_written_is_refused(tmp_path: Path) -> None:

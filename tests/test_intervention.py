@@ -12,12 +12,13 @@ import zmq
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
+from routers import receive_from
 from small_sac import PIDS, START, TO_G2, TO_G3, small_sac
 from small_tasks import small_learner
 
+from t4nmtd_dist.agents.common.off_policy import OffPolicyLearner
 from t4nmtd_dist.agents.common.peer_values import LocalPeers, MixedPeers, NoPeers, PeerCritics, PeerValues, Questions
 from t4nmtd_dist.agents.ppo.agent import PPOLearner
-from t4nmtd_dist.agents.sac.agent import SACLearner
 from t4nmtd_dist.wire.codec import Envelope
 from t4nmtd_dist.wire.messages import (
     Failure,
@@ -30,17 +31,8 @@ from t4nmtd_dist.wire.messages import (
 )
 from t4nmtd_dist.wire.peers.critic_client import GATHERINGS_PER_REQUEST, ROWS_PER_REQUEST, QueryPeers
 from t4nmtd_dist.wire.peers.replica import FIRST_PULL_EVERY_S, PULL_EVERY_S, ReplicaPeers
-from t4nmtd_dist.wire.sockets import (
-    Context,
-    Socket,
-    bind,
-    bound_endpoint,
-    connect,
-    new_context,
-    receive,
-    receive_from,
-    send,
-)
+from t4nmtd_dist.wire.sockets import bind, bound_endpoint, connect, receive, send
+from t4nmtd_dist.wire.zmq_types import Context, Socket, new_context
 from workers.critic_service import WEIGHTS_EVERY_S, CriticService
 
 WAIT_S = 20.0
@@ -187,7 +179,7 @@ def stand_on(peers: QueryPeers, pid: str) -> None:
     assert peers._connections.lines[pid].socket.poll(int(WAIT_S * 1000), zmq.POLLOUT)
 
 
-def crossing(learner: SACLearner, peers: PeerCritics) -> None:
+def crossing(learner: OffPolicyLearner, peers: PeerCritics) -> None:
     """Training with rows across a boundary in every batch."""
     if len(learner.experience) < 60:
         for _ in range(3):
@@ -201,7 +193,7 @@ def crossing(learner: SACLearner, peers: PeerCritics) -> None:
         return found
 
     learner.experience.returns = everything_crosses  # type: ignore[method-assign]
-    learner._ahead.clear()
+    learner._ahead.drawn.clear()
     for _ in range(40):
         learner._train(peers)
 
@@ -239,7 +231,7 @@ def test_a_peer_that_answers_is_trained_with(context: Context, service: CriticSe
     peers.gather = lambda batch, patience_s=0.0: patient(batch, WAIT_S)  # type: ignore[method-assign]
     learner = small_sac("g1")
     crossing(learner, peers)
-    counts, ahead = peers.counts, sum(len(drawn.asked_rows) for drawn in learner._ahead)
+    counts, ahead = peers.counts, sum(len(drawn.asked_rows) for drawn in learner._ahead.drawn)
     assert counts.answered > 200
     assert (counts.answered, counts.late, counts.own_used) == (counts.asked - ahead, 0, 0)
     peers.close()
@@ -256,8 +248,8 @@ class Clock:
         return self.now
 
 
-def seen(learner: SACLearner | PPOLearner, count: int = 9) -> Floats:
-    size = learner.attempts.observations.shape[1]
+def seen(learner: OffPolicyLearner | PPOLearner, count: int = 9) -> Floats:
+    size = learner.rollout.observations.shape[1]
     return np.random.default_rng(0).uniform(-1, 1, (count, size)).astype(np.float32)
 
 
@@ -280,7 +272,7 @@ def pulled(peers: ReplicaPeers, pid: str, clock: Clock, observations: Floats) ->
 def test_a_replica_is_the_peers_network_at_its_version(
     context: Context, service: CriticService, algorithm: str
 ) -> None:
-    learner: SACLearner | PPOLearner = small_sac("g1") if algorithm == "sac" else small_learner("p2")
+    learner: OffPolicyLearner | PPOLearner = small_sac("g1") if algorithm == "sac" else small_learner("p2")
     for _ in range(4):
         learner.iterate(NoPeers())
     service.serve("x", learner.published)
@@ -292,11 +284,11 @@ def test_a_replica_is_the_peers_network_at_its_version(
     answers = pulled(peers, "x", clock, observations)
     arrays = {"observation": observations, "q": q}
     assert made.values(arrays)[1] == learner.version == 4
-    if isinstance(learner, SACLearner):  # the drawn actions are the copy's own: draw the same
-        noise = learner.published._copy.optimiser_state()
-        made._copy.load_optimiser_state(noise)  # type: ignore[union-attr]
+    if isinstance(learner, OffPolicyLearner):  # the drawn actions are the copy's own: draw the same
+        noise = learner.published._critic.generator.get_state()  # type: ignore[attr-defined]
+        made._critic.generator.set_state(noise)  # type: ignore[attr-defined]
         expected = learner.published.values(arrays)[0]
-        learner.published._copy.load_optimiser_state(noise)
+        learner.published._critic.generator.set_state(noise)  # type: ignore[attr-defined]
     else:
         expected = learner.published.values(arrays)[0]
     assert made.values(arrays)[0] == pytest.approx(expected, abs=1e-6)
@@ -344,7 +336,7 @@ def test_a_replica_is_pulled_again_when_there_is_a_newer_version_and_not_too_oft
     gathered()
     assert peers.counts.lag_total == lag + 3
     learner.version = 3
-    learner.published.update(learner.updater, 3)
+    learner.published.update(learner.agent.critic_weights(), 3)
     clock.now += PULL_EVERY_S
     assert request() == WeightsRequest(pid="g1", newer_than=0)
     soon(lambda: gathered() and peers._connections.lines["g1"].version == 3)

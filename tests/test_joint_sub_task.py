@@ -4,14 +4,12 @@ from __future__ import annotations
 
 import csv
 import json
-from collections.abc import Iterator
 from pathlib import Path
 
-import pytest
 from processes import LOOPBACK, Processes, endpoints
 from small_tasks import TINY, own_task
 
-from t4nmtd_dist.policy.global_policy import load
+from t4nmtd_dist.policy.loading import load
 
 HERE = Path(__file__).parent
 JOINT = f"""
@@ -24,13 +22,6 @@ path = "{HERE}"
 horizon = 30
 """
 PID, FILE = "left&again", "left+again"
-
-
-@pytest.fixture
-def processes(tmp_path: Path) -> Iterator[Processes]:
-    started = Processes(tmp_path)
-    yield started
-    started.end()
 
 
 def flags() -> list[str]:

@@ -18,7 +18,7 @@ from safetensors import safe_open
 
 from t4nmtd_dist.cli.evaluate import evaluate
 from t4nmtd_dist.policy.evaluation import Evaluator
-from t4nmtd_dist.policy.global_policy import load
+from t4nmtd_dist.policy.loading import load
 
 POLICIES = sorted(path for path in (BENCHMARKS / "policies").glob("*") if path.is_dir())
 EPISODES, FRESH_SEED = 10, 987_654

@@ -39,18 +39,9 @@ from t4nmtd_dist.wire.messages import Claim, Failure, Granted, LearnerStats, Mes
 from t4nmtd_dist.wire.peers.critic_client import QueryPeers
 from t4nmtd_dist.wire.rate_limited_log import Notices
 from t4nmtd_dist.wire.secure_receiver import Gate
-from t4nmtd_dist.wire.sockets import (
-    Context,
-    Socket,
-    bind,
-    bound_endpoint,
-    connect,
-    new_context,
-    receive,
-    send,
-    subscribe,
-)
+from t4nmtd_dist.wire.sockets import bind, bound_endpoint, connect, receive, send, subscribe
 from t4nmtd_dist.wire.status_client import ask_status
+from t4nmtd_dist.wire.zmq_types import Context, Socket, new_context
 from workers.critic_service import CriticService
 
 DEADLINE_S = 20.0
@@ -333,6 +324,7 @@ def soon(holds: Callable[[], object]) -> None:
 @pytest.fixture
 def running(folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Running]:
     monkeypatch.setattr("coordinator.service.FAREWELL_S", 0.0)
+    monkeypatch.setattr("coordinator.service.LONGEST_FAREWELL_S", 4.0)  # nobody here says a last word
     monkeypatch.setattr("t4nmtd_dist.wire.auth.allow_list.REREAD_S", 0.05)
     state = CoordinatorState(small_task(), RunSettings(seed=0, max_interactions=1000))
     service = CoordinatorService(state, tmp_path / "run", Access(FREE_PORT, FREE_PORT, folder))
@@ -441,7 +433,7 @@ def test_critics_answer_those_whom_the_coordinator_named_and_only_as_long(contex
     service = CriticService(context, own=server, tell=told.append)
     learner = small_learner("g")
     service.serve("g", learner.published)
-    size = learner.attempts.observations.shape[1]
+    size = learner.rollout.observations.shape[1]
     client = new_context()
     peers = QueryPeers(client, "asker", ClientKeys(asker, "unused"))
     try:
@@ -472,7 +464,7 @@ def test_a_peer_with_no_key_or_another_is_not_asked(context: Context, key: str) 
     claimed = new_pair("x").public if key else ""
     peers.set_peers({"g": Peer(endpoint=service.endpoint, version=0, epoch=1, key=claimed)})
     for _ in range(3):
-        assert len(values(peers, learner.attempts.observations.shape[1]).rows) == 0
+        assert len(values(peers, learner.rollout.observations.shape[1]).rows) == 0
     peers.close()
     client.destroy(linger=0)
     service.close()

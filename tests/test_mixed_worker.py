@@ -16,12 +16,13 @@ from small_tasks import START, TO_PASSENGER_2, small_task, snapshot_after
 from coordinator.endpoints import Access
 from coordinator.service import CoordinatorService
 from coordinator.state import CoordinatorState, RunSettings
+from t4nmtd_dist.agents.common.off_policy import OffPolicyLearner
 from t4nmtd_dist.agents.common.peer_values import MixedPeers, PeerCritics
 from t4nmtd_dist.agents.common.replay_buffer import Experience
-from t4nmtd_dist.agents.sac.agent import SACLearner
 from t4nmtd_dist.wire.peers.critic_client import QueryPeers
 from t4nmtd_dist.wire.peers.replica import ReplicaPeers
-from workers.worker import Worker, WorkerOptions
+from workers.options import Connection, WorkerOptions
+from workers.worker import Worker
 
 FREE_PORT = "tcp://127.0.0.1:*"
 WAIT_S = 60.0
@@ -45,7 +46,7 @@ def workers_of(state: CoordinatorState, hands: tuple[tuple[str, ...], ...], fold
     service = CoordinatorService(state, folder / "run", Access(FREE_PORT, FREE_PORT))
     thread = threading.Thread(target=service.serve, daemon=True)
     thread.start()
-    made = [Worker(WorkerOptions(service.control, "learner", hand, hand[0], WAIT_S)) for hand in hands]
+    made = [Worker(WorkerOptions(Connection(service.control, WAIT_S), "learner", hand, hand[0])) for hand in hands]
     try:
         yield made
     finally:
@@ -103,7 +104,7 @@ def test_learners_learn_from_peers_of_their_worker_directly_and_from_others_over
     def others() -> dict[str, Experience]:
         """What g1 learns from, by pid, as far as there is any."""
         session = made[0]._sessions.get("g1")
-        found = {} if session is None else cast(SACLearner, session.learner).batches.others
+        found = {} if session is None else cast(OffPolicyLearner, session.learner).batches.others
         return {pid: experience for pid, experience in found.items() if len(experience)}
 
     with workers_of(state, hands, tmp_path) as made:

@@ -25,7 +25,8 @@ from t4nmtd_dist.launch.serial import SerialRun
 from t4nmtd_dist.method.compiled import CompiledTask, compile_task
 from t4nmtd_dist.method.start_states import InitialStateBuffer
 from t4nmtd_dist.policy.export import export_policy
-from t4nmtd_dist.policy.global_policy import GlobalPolicy, load
+from t4nmtd_dist.policy.global_policy import GlobalPolicy
+from t4nmtd_dist.policy.loading import load
 from t4nmtd_dist.runs.checkpoints import newest_checkpoint, write_checkpoint
 from t4nmtd_dist.tasks import load_task
 
@@ -54,7 +55,7 @@ def task_of(name: str, folder: Path, *flags: str) -> CompiledTask:
 
 
 def learner_of(task: CompiledTask, pid: str = "left", iterations: int = 0, seed: int = 0) -> Learner:
-    learner = build_learner(task, pid, InitialStateBuffer(10), task.q_table(), seed=seed)
+    learner = build_learner(task, pid, InitialStateBuffer(10), task.method(), seed=seed)
     for _ in range(iterations):
         assert learner.iterate(NoPeers())
     return learner
@@ -169,7 +170,7 @@ def test_it_can_be_turned_off_and_the_packages_own_environments_have_it_off(tmp_
 def test_a_learner_learns_the_statistics_of_its_own_observations(name: str, tmp_path: Path) -> None:
     learner = learner_of(task_of(name, tmp_path), iterations=3)
     weights = learner.weights()
-    assert weights["normalisation.count"] == learner.attempts.interactions
+    assert weights["normalisation.count"] == learner.rollout.interactions
     assert weights["normalisation.mean"][0] > 100
     if learner.experience is not None:  # what peers learn from is as the environment gave it
         assert learner.experience.observations.max() > 100
@@ -264,7 +265,7 @@ def test_an_exported_policy_acts_as_it_did(name: str, tmp_path: Path) -> None:
     weights = {"left": learners["left"].weights()}
     q_table = [(0, "left", 1.0)]
     export_policy(tmp_path / "policy", task, q_table, weights, {})
-    live = GlobalPolicy(task.config, task.dfa, task.decomposition, q_table, weights, task.rho)
+    live = GlobalPolicy(task, q_table, weights)
     loaded = load(tmp_path / "policy")
     asked = question()
     q = np.full(9, task.dfa.initial, np.int32)
@@ -273,7 +274,7 @@ def test_an_exported_policy_acts_as_it_did(name: str, tmp_path: Path) -> None:
     assert actions.tobytes() == live.actions(asked["observation"], q)[0].tobytes()
     loaded.check_fits(asked["observation"])
     unaware = {key: array for key, array in weights["left"].items() if not key.startswith("normalisation.")}
-    raw = GlobalPolicy(task.config, task.dfa, task.decomposition, q_table, {"left": unaware}, task.rho)
+    raw = GlobalPolicy(task, q_table, {"left": unaware})
     mean = float(weights["left"]["normalisation.mean"][0])
     at_mean = np.full((9, 1), mean, np.float32)
     near_0 = raw.actions(np.zeros((9, 1), np.float32), q)[0]

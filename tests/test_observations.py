@@ -15,7 +15,7 @@ from own_environments import LEFT, LENGTH
 
 from t4nmtd_dist.core.config import EnvironmentConfig
 from t4nmtd_dist.core.errors import EnvError
-from t4nmtd_dist.environments.batched import make_env
+from t4nmtd_dist.environments.make_env import make_env
 from t4nmtd_dist.environments.observation_range import ObservationRange
 from t4nmtd_dist.environments.observations import flattener
 from t4nmtd_dist.tasks import load_task, task_names

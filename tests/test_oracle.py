@@ -12,6 +12,7 @@ from t4nmtd_dist.wire.messages import KINDS
 
 
 @pytest.mark.training
+@pytest.mark.process
 @pytest.mark.timeout(600)
 @pytest.mark.parametrize("task", oracle.SHORTER)
 def test_a_short_training_comes_to_the_recorded_numbers(task: str) -> None:
@@ -56,6 +57,7 @@ def test_the_samples_have_every_kind_and_field() -> None:
     assert set(oracle.load("wire.json")) == set(fields)
 
 
+@pytest.mark.process
 @pytest.mark.parametrize("task", oracle.TASKS)
 def test_tasks_compile_to_what_was_recorded(task: str) -> None:
     found = oracle.inspect_json(task)

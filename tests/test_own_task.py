@@ -7,7 +7,6 @@ import json
 import re
 import subprocess
 import sys
-from collections.abc import Iterator
 from pathlib import Path
 from types import ModuleType
 from typing import Any
@@ -20,8 +19,8 @@ from small_tasks import TINY, own_task
 from coordinator.state import RunSettings
 from t4nmtd_dist.core.config import EnvironmentConfig, task_config
 from t4nmtd_dist.core.errors import EnvError
-from t4nmtd_dist.environments import restoring
-from t4nmtd_dist.environments.batched import make_env
+from t4nmtd_dist.environments import snapshot_choice
+from t4nmtd_dist.environments.make_env import make_env
 from t4nmtd_dist.environments.opening import import_module
 from t4nmtd_dist.environments.preparation import prepared
 from t4nmtd_dist.launch.serial import SerialRun
@@ -48,13 +47,6 @@ horizon = 30
 
 def example(*flags: str) -> CompiledTask:
     return compile_task(load_task(str(EXAMPLE), flags=flags), translator="python")
-
-
-@pytest.fixture
-def processes(tmp_path: Path) -> Iterator[Processes]:
-    started = Processes(tmp_path)
-    yield started
-    started.end()
 
 
 # The example
@@ -102,6 +94,7 @@ def test_random_actions_hardly_ever_succeed() -> None:
     assert np.mean(accepted) <= 0.05
 
 
+@pytest.mark.process
 def test_a_worker_elsewhere_goes_on_where_another_arrived(tmp_path: Path) -> None:
     """Another process, in another folder, that knows only what the coordinator sends it."""
     config = prepared(example()).config
@@ -116,7 +109,7 @@ def test_a_worker_elsewhere_goes_on_where_another_arrived(tmp_path: Path) -> Non
 import json, sys
 import numpy as np
 from t4nmtd_dist.core.config import task_config
-from t4nmtd_dist.environments.batched import make_env
+from t4nmtd_dist.environments.make_env import make_env
 sent = json.load(sys.stdin)
 config = task_config(sent["task"])
 environment = make_env(config.environment, 1, config.propositions)
@@ -228,7 +221,7 @@ def test_the_packages_own_tasks_are_not_checked_at_every_start(monkeypatch: pyte
     def unwanted(*_: object, **__: object) -> None:
         raise AssertionError("checked")
 
-    monkeypatch.setattr(restoring, "choose_snapshots", unwanted)
+    monkeypatch.setattr(snapshot_choice, "choose_snapshots", unwanted)
     task = compile_task(load_task("task7"), translator="python")
     assert prepared(task) is task
     changed = load_task("task7", flags=["environment.horizon=10"])
@@ -252,6 +245,7 @@ def test_the_packages_own_tasks_are_checked_if_changed_in_what_they_need(
         prepared(compile_task(load_task(name, flags=flags), translator="python"))
 
 
+@pytest.mark.process
 def test_preparing_one_of_the_packages_own_tasks_imports_nothing_heavy() -> None:
     code = """
 import sys
@@ -267,5 +261,5 @@ print([name for name in ("torch", "gymnasium") if name in sys.modules])
 
 def test_workers_get_the_choice_and_make_none_of_their_own(monkeypatch: pytest.MonkeyPatch) -> None:
     environment: EnvironmentConfig = prepared(example()).config.environment
-    monkeypatch.setattr(restoring, "choose_snapshots", None)
+    monkeypatch.setattr(snapshot_choice, "choose_snapshots", None)
     assert make_env(environment, 2, ("left", "flag", "wall")).count == 2

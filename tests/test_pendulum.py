@@ -11,7 +11,7 @@ import pytest
 import torch
 from benchmark_modules import benchmark
 
-from t4nmtd_dist.agents.sac.interface import SACSettings
+from t4nmtd_dist.agents.sac.updater import SACSettings
 
 INTERACTIONS, SOME, HORIZON = 300, 150, 200
 TINY = SACSettings(initial_alpha=1.0, layer_norm=False, hidden=(16, 16))

@@ -17,11 +17,12 @@ from numpy.typing import NDArray
 from safetensors.numpy import load_file, save_file
 from small_tasks import ACCEPTING, CARRYING_2, ERROR, PICK, START, TO_GOAL, TO_PASSENGER_2, small_learner, small_task
 
-from t4nmtd_dist.agents.common.networks import product_state
+from t4nmtd_dist.agents.common.product_states import product_states
 from t4nmtd_dist.agents.ppo.agent import PPOLearner
 from t4nmtd_dist.core.errors import PolicyError
 from t4nmtd_dist.policy.export import ACTORS_FILE, POLICY_FILE, export_policy
-from t4nmtd_dist.policy.global_policy import GlobalPolicy, load
+from t4nmtd_dist.policy.global_policy import GlobalPolicy
+from t4nmtd_dist.policy.loading import load
 
 Q_TABLE = [(START, "p2", 5.0), (START, "p1", 1.0), (CARRYING_2, "g", 9.0), (CARRYING_2, "p1", 2.0)]
 PIDS = ("g", "p1", "p2", "p3")
@@ -57,13 +58,13 @@ def test_a_loaded_policy_acts_as_the_live_actors(
     learners: dict[str, PPOLearner], exported: Path, seed: int, q: list[int]
 ) -> None:
     policy, states = load(exported), np.array(q, np.int32)
-    size = learners["g"].attempts.observations.shape[1]
+    size = learners["g"].rollout.observations.shape[1]
     observations = np.random.default_rng(seed).uniform(-1, 1, (len(q), size)).astype(np.float32)
     expected = []
     for row, state in enumerate(q):
         live = learners[policy.subtask_of[state]].network.actor
         with torch.no_grad():
-            expected.append(int(live(product_state(observations[[row]], states[[row]], 6)).argmax()))
+            expected.append(int(live(torch.from_numpy(product_states(observations[[row]], states[[row]], 6))).argmax()))
     assert policy.actions(observations, states)[0].tolist() == expected
 
 
@@ -78,9 +79,7 @@ def test_the_greedy_subtask_of_every_state_acts(exported: Path) -> None:
 
 def test_a_subtask_without_an_actor_is_not_chosen(learners: dict[str, PPOLearner]) -> None:
     task = small_task()
-    policy = GlobalPolicy(
-        task.config, task.dfa, task.decomposition, Q_TABLE, {"p1": learners["p1"].weights()}, task.rho
-    )
+    policy = GlobalPolicy(task, Q_TABLE, {"p1": learners["p1"].weights()})
     assert policy.subtask_of == {START: "p1", CARRYING_2: "p1", 4: "p1"}
 
 
@@ -153,7 +152,7 @@ def test_any_number_of_layers_comes_back(hidden: str, tmp_path: Path) -> None:
     export_policy(tmp_path / "policy", task, Q_TABLE, {"p2": learner.weights()}, {})
     observations, q = np.ones((1, 83), np.float32), np.zeros(1, np.int32)
     with torch.no_grad():
-        expected = int(learner.network.actor(product_state(observations, q, 6)).argmax())
+        expected = int(learner.network.actor(torch.from_numpy(product_states(observations, q, 6))).argmax())
     assert load(tmp_path / "policy").actions(observations, q)[0].tolist() == [expected]
 
 

@@ -21,7 +21,8 @@ from t4nmtd_dist.agents.common.peer_values import (
     PeerValues,
     Questions,
 )
-from t4nmtd_dist.agents.ppo.agent import PPOLearner, generalised_advantages
+from t4nmtd_dist.agents.ppo.agent import PPOLearner
+from t4nmtd_dist.agents.ppo.losses import generalised_advantages
 
 Floats = NDArray[np.float32]
 
@@ -115,10 +116,9 @@ def crossing_learner(*flags: str) -> tuple[PPOLearner, dict[str, PPOLearner]]:
 
 def collected(learner: PPOLearner, peers: PeerCritics) -> tuple[Floats, Floats]:
     """Values and bootstrap values, flat, of one roll-out."""
-    assert learner.attempts.begin()
+    assert learner.rollout.begin()
     learner.collect(peers)
-    with torch.no_grad():
-        values, next_values = learner._bootstrap(peers)
+    values, next_values = learner.bootstrap(peers)
     return values, next_values.reshape(-1)
 
 
@@ -144,8 +144,8 @@ def test_what_is_asked_is_the_state_after_the_change_not_the_one_of_the_restart(
     targets = [(observation, q) for _, _, observation, q in peers.questions if q == CARRYING_2]
     assert targets, "passenger 2 is one pick away from every start"
     reference = small_learner("g", starts=((CARRYING_2, WITH_2),))
-    reference.attempts.begin()
-    assert any(np.array_equal(observation, reference.attempts.observations[0]) for observation, _ in targets)
+    reference.rollout.begin()
+    assert any(np.array_equal(observation, reference.rollout.observations[0]) for observation, _ in targets)
 
 
 @pytest.mark.parametrize("half", [False, True])
@@ -153,13 +153,13 @@ def test_rows_without_an_answer_use_the_own_critic(half: bool) -> None:
     learner, others = crossing_learner()
     asked = HalfOfThem(RecordingPeers(others))
     values, next_values = collected(learner, asked if half else NoPeers())
-    rollout = learner._rollout
-    boundary, terminal = rollout.boundary.reshape(-1), rollout.terminal.reshape(-1)
-    observations = rollout.boundary_observations.reshape(len(boundary), -1)
+    trajectory = learner.trajectory
+    boundary, terminal = trajectory.boundary.reshape(-1), trajectory.terminal.reshape(-1)
+    observations = trajectory.boundary_observations.reshape(len(boundary), -1)
     own = [row for row in np.flatnonzero(boundary) if not (half and row in asked.answered)]
     assert own
     for row in own:
-        expected = value_of(learner, observations[row], int(rollout.boundary_q.reshape(-1)[row]))
+        expected = value_of(learner, observations[row], int(trajectory.boundary_q.reshape(-1)[row]))
         assert next_values[row] == pytest.approx(expected, abs=1e-6)
     count = values.shape[1]
     inside = [row for row in np.flatnonzero(~boundary & ~terminal) if row + count < len(next_values)]
@@ -169,11 +169,11 @@ def test_rows_without_an_answer_use_the_own_critic(half: bool) -> None:
 def test_acceptance_and_holes_are_worth_nothing_and_a_time_out_is_not_terminal() -> None:
     learner = small_learner("g", "learner.attempt_steps=5", starts=((CARRYING_2, BESIDE_GOAL),))
     _, next_values = collected(learner, NoPeers())
-    rollout = learner._rollout
-    terminal = rollout.terminal.reshape(-1)
+    trajectory = learner.trajectory
+    terminal = trajectory.terminal.reshape(-1)
     assert terminal.any()
     assert (next_values[terminal] == 0).all()
-    timed_out = (rollout.cut & ~rollout.terminal).reshape(-1)
+    timed_out = (trajectory.cut & ~trajectory.terminal).reshape(-1)
     assert timed_out.any()
     assert (next_values[timed_out] != 0).all()
 
@@ -182,13 +182,13 @@ def test_nobody_is_asked_about_terminals_or_inside_a_subtask() -> None:
     learner, others = crossing_learner()
     peers = RecordingPeers(others)
     collected(learner, peers)
-    rollout = learner._rollout
+    trajectory = learner.trajectory
     for row, _, observation, q in peers.questions:
-        t, n = divmod(row, rollout.rewards.shape[1])
-        assert rollout.boundary[t, n]
-        assert np.array_equal(observation, rollout.boundary_observations[t, n])
-        assert q == rollout.boundary_q[t, n]
-        assert q != np.argmax(rollout.states[t, n, -small_task().dfa.states :])
+        t, n = divmod(row, trajectory.rewards.shape[1])
+        assert trajectory.boundary[t, n]
+        assert np.array_equal(observation, trajectory.boundary_observations[t, n])
+        assert q == trajectory.boundary_q[t, n]
+        assert q != np.argmax(trajectory.states[t, n, -small_task().dfa.states :])
 
 
 def test_the_published_critic_is_the_one_after_the_last_update() -> None:
@@ -196,7 +196,7 @@ def test_the_published_critic_is_the_one_after_the_last_update() -> None:
     q = np.array([START, CARRYING_2], np.int32)
     for version in range(1, 3):
         learner.iterate(NoPeers())
-        observations = learner.attempts.observations[:2]
+        observations = learner.rollout.observations[:2]
         values, published = learner.published.values({"observation": observations, "q": q})
         assert published == learner.version == version
         assert values == pytest.approx(learner.critic_values(observations, q), abs=1e-6)

@@ -29,13 +29,6 @@ END_S = 5.0
 SOLVE_S = 200.0
 
 
-@pytest.fixture
-def processes(tmp_path: Path) -> Iterator[Processes]:
-    started = Processes(tmp_path)
-    yield started
-    started.end()
-
-
 @pytest.fixture(scope="module")
 def bare_start_s() -> float:
     """What starting an interpreter with torch takes on this machine now."""
@@ -218,7 +211,7 @@ def test_a_worker_killed_before_its_first_success_starts_again_and_the_task_is_s
     processes.until(lambda: "g takes g (epoch 1)" in events(run), "g is held")
     number = worker_number(run, "g")
     assert number is not None
-    assert rows(processes.until_state(run, lambda state: True, "a state"))["g"].recent_success is None
+    assert rows(processes.until_state(run, lambda state: True, "a state"))["g"].total.recent_success is None
     os.kill(number, signal.SIGKILL)
     processes.until(lambda: "g takes g (epoch 2)" in events(run), "g is held again")
     assert worker_number(run, "g") not in (None, number)

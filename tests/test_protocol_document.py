@@ -9,7 +9,10 @@ from pathlib import Path
 import msgspec
 import pytest
 
+from coordinator.service import PUBLISH_S
 from t4nmtd_dist.wire import codec, endpoints, limits, messages
+from workers.evaluation_work import POLL_S
+from workers.worker import SYNC_INTERVAL_S
 
 DOCUMENT = (Path(__file__).parent.parent / "docs" / "protocol.md").read_text(encoding="utf-8")
 ROW = re.compile(r"^\| `(\w+)` \|", re.MULTILINE)
@@ -59,6 +62,30 @@ def test_a_section_names_the_arrays_and_allowed_words(name: str) -> None:
         for word in field.type.values
     ]
     assert [word for word in words if f"`{word}`" not in section] == []
+
+
+def array_shapes(kind: type[messages.Message]) -> set[str]:
+    """Types and shapes of arrays in a message's docstring, such as float32 [k, d]."""
+    _, _, listed = (kind.__doc__ or "").partition("arrays:")
+    return set(re.findall(r"\w+\d+ \[[^\]]+\]", listed))
+
+
+@pytest.mark.parametrize("name", documented())
+def test_a_section_gives_arrays_the_shapes_of_the_docstring(name: str) -> None:
+    assert [shape for shape in array_shapes(documented()[name]) if shape not in sections(DOCUMENT)[name]] == []
+
+
+def test_shapes_are_found_in_docstrings() -> None:
+    assert array_shapes(messages.ValueReply) == {"float32 [k]", "float32 [k, 2]"}
+
+
+def test_intervals_are_those_of_the_program() -> None:
+    poll = sections(DOCUMENT)["evaluation_poll"]
+    interval = f"{POLL_S} s after each answer while idle"
+    assert interval in poll
+    assert interval in (messages.EvaluationPoll.__doc__ or "")
+    assert f"every {SYNC_INTERVAL_S} s once the one before has been answered" in sections(DOCUMENT)["sync"]
+    assert f"every {PUBLISH_S} s" in sections(DOCUMENT)["dashboard_state"]
 
 
 def test_arrays_are_found_in_docstrings() -> None:

@@ -18,9 +18,9 @@ from t4nmtd_dist.core.action_modes import ActionMode
 from t4nmtd_dist.core.errors import ConfigError, EnvError, T4NMTDError
 from t4nmtd_dist.environments.trusted_code import remember
 from t4nmtd_dist.method.compiled import compile_task
-from t4nmtd_dist.method.decomposition import Decomposition
 from t4nmtd_dist.policy.export import export_policy
-from t4nmtd_dist.policy.global_policy import GlobalPolicy, load
+from t4nmtd_dist.policy.global_policy import GlobalPolicy
+from t4nmtd_dist.policy.loading import load
 from t4nmtd_dist.policy.recording import BANNER_HEIGHT, LEAST_WIDTH, captioned, open_for_recording, play
 from t4nmtd_dist.tasks import load_task
 
@@ -112,8 +112,7 @@ def test_our_own_worlds_can_be_filmed(tmp_path: Path) -> None:
 @cache
 def lake_policy() -> GlobalPolicy:
     task = compile_task(load_task("task7"), translator="python")
-    none_learned = Decomposition.from_json(task.decomposition.to_json())
-    return GlobalPolicy(task.config, task.dfa, none_learned, [], {}, task.rho)
+    return GlobalPolicy(task, [], {})
 
 
 @pytest.mark.skipif(importlib.util.find_spec("imageio_ffmpeg") is None, reason="mp4 needs the extra `record`")

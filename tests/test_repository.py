@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import ast
 import importlib.util
+import os
 import re
 import resource
 import subprocess
@@ -169,6 +170,7 @@ def test_a_broken_import_contract_is_noticed(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("program", PROGRAMS)
+@pytest.mark.process
 def test_help_imports_nothing_heavy(program: str) -> None:
     code = f"""
 import sys
@@ -197,6 +199,7 @@ def seconds(*command: str) -> float:
 @pytest.mark.parametrize(
     ("program", "verb"), [*((program, ()) for program in PROGRAMS), ("t4nmtd", ("train",)), ("t4nmtd", ("inspect",))]
 )
+@pytest.mark.process
 def test_help_comes_at_once(program: str, verb: tuple[str, ...]) -> None:
     script = Path(sys.executable).with_name(program)
     if not script.exists():
@@ -286,11 +289,31 @@ def test_the_example_plays_a_policy_that_was_just_exported(tmp_path: Path) -> No
 
 def test_the_readmes_commands_are_verbs_of_the_makefile() -> None:
     makefile = (ROOT / "Makefile").read_text(encoding="utf-8")
-    verbs = set(re.findall(r"^([a-z]+):", makefile, re.MULTILINE))
+    verbs = set(re.findall(r"^([a-z-]+):", makefile, re.MULTILINE))
     readme = (ROOT / "README.md").read_text(encoding="utf-8")
     checks = (ROOT / ".ci" / "run").read_text(encoding="utf-8")
-    promised = set(re.findall(r"(?:^|`)make ([a-z]+)\b", readme, re.MULTILINE))
+    promised = set(re.findall(r"(?:^|`)make ([a-z-]+)", readme, re.MULTILINE))
     checked = set(re.findall(r"\bmake --no-print-directory ([a-z]+)$", checks, re.MULTILINE))
     assert {"run", "test"} <= promised
     assert {"setup", "lint", "type", "test"} == checked
     assert promised | checked <= verbs
+
+
+@pytest.mark.parametrize(
+    ("parallel", "serial", "passes"),
+    [(0, 0, True), (0, 5, True), (5, 0, True), (1, 0, False), (0, 1, False), (5, 5, False), (2, 5, False)],
+)
+def test_make_test_runs_both_parts_and_fails_if_one_fails(
+    parallel: int, serial: int, passes: bool, tmp_path: Path
+) -> None:
+    """pytest's exit code 5 means that no test was chosen."""
+    pytest_stand_in, calls = tmp_path / "pytest", tmp_path / "calls"
+    code = f'case "$2" in "not process") exit {parallel} ;; process) exit {serial} ;; esac'
+    pytest_stand_in.write_text(f'#!/bin/sh\necho "$@" >> {calls}\n{code}\n')
+    pytest_stand_in.chmod(0o755)
+    command = ["make", "--silent", "--old-file=.venv/.set-up", "test", f"PYTEST={pytest_stand_in}", "ARGS=-k lake"]
+    done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, env={"PATH": os.environ["PATH"]})
+    assert (done.returncode == 0) is passes, done.stdout + done.stderr
+    first, second = calls.read_text().splitlines()
+    assert first == "-m not process --numprocesses 2 --dist loadfile -k lake"
+    assert second == "-m process -k lake"

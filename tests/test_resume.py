@@ -11,6 +11,7 @@ import msgspec
 import numpy as np
 import pytest
 from coordinator_events import Conversation, changes, starts, weights
+from learner_work import STEPS, Work
 from small_sac import AT_G1, TO_G2, car_at, small_sac_task
 from small_tasks import START, TO_PASSENGER_2, small_task, snapshot_after
 
@@ -19,7 +20,6 @@ from coordinator.events import Interrupted
 from coordinator.saved_state import load_saved_state, raise_counts, saved_counts, saved_state
 from coordinator.snapshot import summary
 from coordinator.state import RunSettings
-from t4nmtd_dist.agents.common.peer_values import NoPeers
 from t4nmtd_dist.agents.registry import build_learner
 from t4nmtd_dist.core.state_dict import copied, joined, split
 from t4nmtd_dist.launch.serial import SerialRun
@@ -34,14 +34,12 @@ from t4nmtd_dist.wire.messages import (
     EvaluationPoll,
     EvaluationReport,
     Goodbye,
-    Granted,
     LearnerStats,
     Refused,
     Release,
     SyncReply,
 )
 from workers.checkpointing import SessionKeeper
-from workers.learner_session import LearnerSession
 
 EVALUATED = ("evaluation.every=60", "evaluation.episodes=2", "environment.horizon=20", "learner.attempt_steps=12")
 SAC = ("sac.relabel_share=0.5", "sac.success_share=0.25", "sac.updates_per_step=0.3", 'learner.hand_over="changes"')
@@ -87,7 +85,7 @@ def told(run: SerialRun) -> dict[str, Any]:
         "weights": {name: array.tobytes() for name, array in learned.items()},
         "report": report,
         "evaluations": rows,
-        "q": run.coordinator.high_level.entries(),
+        "q": run.coordinator.method.entries(),
         "buffers": buffers,
         "versions": {pid: session.learner.version for pid, session in run.sessions.items()},
     }
@@ -162,9 +160,9 @@ def test_worlds_go_on_with_the_same_chance(kind: str, flags: tuple[str, ...]) ->
     def attempts() -> Any:
         task = small_sac_task(*flags, "environment.horizon=20", "learner.attempt_steps=5", name=kind)
         pid = next(pid for pid in task.decomposition.pids if pid in task.decomposition.available(task.dfa.initial))
-        learner = build_learner(task, pid, InitialStateBuffer(10), task.q_table(), seed=4)
-        assert learner.attempts.begin()
-        return learner.attempts
+        learner = build_learner(task, pid, InitialStateBuffer(10), task.method(), seed=4)
+        assert learner.rollout.begin()
+        return learner.rollout
 
     def course(going: Any) -> list[bytes]:
         rng = np.random.default_rng(0)
@@ -311,43 +309,6 @@ def test_the_clock_stands_still_after_the_end() -> None:
 
 # Learners under leases
 
-STEPS = 64  # of one iteration of a tiny learner
-
-
-class Work:
-    """The learner of p1 under leases of a coordinator in the same process."""
-
-    def __init__(self, talk: Conversation | None = None) -> None:
-        self.talk = talk or Conversation()
-        self.peers = NoPeers()
-        self.claim()
-
-    def claim(self, state: Any = None) -> None:
-        actions = self.talk.answers("w", self.talk.claim_message("p1", "w"))
-        granted = actions[0].message
-        assert isinstance(granted, Granted)
-        self.granted, self.session = granted, LearnerSession(granted, actions[0].arrays)
-        if state is not None:
-            self.session.go_on_from(state, granted, actions[0].arrays)
-
-    def iterate(self, times: int) -> None:
-        for _ in range(times):
-            assert self.session.iterate(self.peers)
-            sync = self.session.next_sync(float("inf"), 0.0)
-            assert sync is not None
-            self.hear(sync)
-
-    def hear(self, sync: Envelope) -> None:
-        for sent in self.talk.answers("w", sync.message, sync.arrays):
-            self.session.take_reply(Envelope(sent.message, sent.arrays))
-
-    def kept(self) -> Any:
-        return joined(*split(copied(self.session.state_dict())))
-
-    @property
-    def counted(self) -> int:
-        return self.talk.state.interactions
-
 
 def test_a_killed_learner_goes_on_and_counts_only_what_it_does_then() -> None:
     work = Work()
@@ -355,7 +316,7 @@ def test_a_killed_learner_goes_on_and_counts_only_what_it_does_then() -> None:
     state = work.kept()
     work.iterate(2)
     work.claim(state)
-    assert work.session.learner.attempts.interactions == 3 * STEPS
+    assert work.session.learner.rollout.interactions == 3 * STEPS
     assert work.session.learner.version == 5  # the coordinator's weights are newer
     work.iterate(1)
     assert work.counted == 6 * STEPS
@@ -388,11 +349,11 @@ def test_runs_that_share_a_folder_keep_their_checkpoints(tmp_path: Path) -> None
 
     kept("a", times=2)
     keeper, work = kept("b", times=4)
-    assert kept("a")[1].session.learner.attempts.interactions == 2 * STEPS
-    assert kept("b")[1].session.learner.attempts.interactions == 4 * STEPS
+    assert kept("a")[1].session.learner.rollout.interactions == 2 * STEPS
+    assert kept("b")[1].session.learner.rollout.interactions == 4 * STEPS
     keeper.delete([work.session])
     assert [path.name for path in tmp_path.iterdir()] == ["a"]
-    assert kept("a")[1].session.learner.attempts.interactions == 2 * STEPS
+    assert kept("a")[1].session.learner.rollout.interactions == 2 * STEPS
 
 
 def test_a_run_directory_holds_the_checkpoints_of_its_own_run_alone(tmp_path: Path) -> None:
@@ -443,7 +404,7 @@ def test_an_answer_to_another_learner_of_the_same_worker_is_left_alone() -> None
     work.iterate(1)
     work.session.last_sync()
     held = len(work.session.buffer)
-    own = SyncReply("p1", work.session.epoch, 2, 0, work.talk.state.high_level.entries(), {})
+    own = SyncReply("p1", work.session.epoch, 2, 0, work.talk.state.method.entries(), {})
     others = msgspec.structs.replace(own, pid="p2", accepted_sequence=99, start_cursor=50)
     work.session.take_reply(Envelope(others, {"starts.q": np.zeros(1, np.int32), "starts.state": np.zeros((1, 4))}))
     assert not work.session.heard

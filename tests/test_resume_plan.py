@@ -9,11 +9,11 @@ from pathlib import Path
 
 import pytest
 
-from t4nmtd_dist.cli.options import RunOptions
-from t4nmtd_dist.cli.plan import plan_run
-from t4nmtd_dist.core.config import SACConfig
+from t4nmtd_dist.agents.sac.config import SACConfig
 from t4nmtd_dist.core.errors import ConfigError, RunError
 from t4nmtd_dist.runs.directory import RunDirectory
+from t4nmtd_dist.runs.options import RunOptions
+from t4nmtd_dist.runs.planning import plan_run
 from t4nmtd_dist.runs.resuming import new_identity, read_stopped_run, write_identity
 from t4nmtd_dist.tasks import load_task
 
@@ -60,22 +60,18 @@ def test_the_time_to_compile_the_task_can_be_changed(tmp_path: Path) -> None:
         plan_run(RunOptions(resume=stopped_run(tmp_path / "b"), set=["decomposition.keep=all"]))
 
 
-def test_a_run_of_before_the_time_limit_gets_a_generous_one(tmp_path: Path) -> None:
+def test_a_run_of_an_earlier_version_is_refused_with_what_still_works(tmp_path: Path) -> None:
     run = stopped_run(tmp_path)
     path = run / "config.toml"
     text = path.read_text(encoding="utf-8")
-    assert "time_limit = 20.0\n" in text
-    path.write_text(text.replace("time_limit = 20.0\n", ""), encoding="utf-8")
-    assert plan_run(RunOptions(resume=run)).config.decomposition.time_limit == 600
-
-
-def test_a_run_of_before_actions_could_be_sampled_goes_on_greedily(tmp_path: Path) -> None:
-    run = stopped_run(tmp_path)
-    path = run / "config.toml"
-    text = path.read_text(encoding="utf-8")
-    assert 'actions = "greedy"\n' in text
-    path.write_text(text.replace('actions = "greedy"\n', ""), encoding="utf-8")
-    assert plan_run(RunOptions(resume=run)).config.evaluation == load_task("task7").evaluation
+    assert "run_format = 2\n" in text
+    first = text.replace("run_format = 2\n", "").replace("num_envs = ", "worlds = ")  # as version 0.1.0 wrote it
+    path.write_text(first, encoding="utf-8")
+    with pytest.raises(RunError, match=r"cannot be resumed: another version .* \(run format 1; .*t4nmtd evaluate"):
+        plan_run(RunOptions(resume=run))
+    path.write_text(text.replace("run_format = 2\n", "run_format = 3\n"), encoding="utf-8")
+    with pytest.raises(RunError, match="run format 3"):
+        plan_run(RunOptions(resume=run))
 
 
 def test_settings_written_are_complete_and_read_back_the_same(tmp_path: Path) -> None:

@@ -7,7 +7,7 @@ import json
 import os
 import re
 import signal
-from collections.abc import Iterator
+import time
 from pathlib import Path
 from typing import Any
 
@@ -18,15 +18,9 @@ from processes import Processes, Started, endpoints, events, processes_of, worke
 SOLVE_S = 500.0
 STOP_S = 60.0
 PATIENCE_S = 200.0
+SLOW_S = 5.0  # less than a lease, within which a learner must be heard
 OFTEN = ("--checkpoint-every", "1")
 SUBTASKS = ("p1", "p2", "p3", "g")
-
-
-@pytest.fixture
-def processes(tmp_path: Path) -> Iterator[Processes]:
-    started = Processes(tmp_path)
-    yield started
-    started.end()
 
 
 def train(processes: Processes, run: Path, *arguments: str) -> Started:
@@ -122,7 +116,7 @@ def test_a_signal_leaves_checkpoints_of_all_that_was_counted(number: signal.Sign
     for pid in SUBTASKS:
         learner = json.loads((run / "checkpoints" / pid / "000001" / "state.json").read_text(encoding="utf-8"))
         told = summary_of(run)["learners"][pid]["interactions"]
-        assert learner["about"]["interactions"] == told
+        assert learner["about"]["interactions"] == told, pid
     stopped = summary_of(run)
     second = resume(processes, run, "--max-interactions", str(stopped["interactions_total"] + 2000))
     processes.until(lambda: second.process.poll() is not None, "it refuses", STOP_S)
@@ -135,7 +129,7 @@ def test_a_signal_leaves_checkpoints_of_all_that_was_counted(number: signal.Sign
     assert_monotone(run)
     for pid in SUBTASKS:
         told = summary_of(run)["learners"][pid]["interactions"]
-        assert newest_about(run, pid)["interactions"] == told
+        assert newest_about(run, pid)["interactions"] == told, pid
 
 
 def newest_about(run: Path, pid: str) -> dict[str, Any]:
@@ -164,8 +158,27 @@ def test_a_killed_worker_keeps_its_replay_and_counts_nothing_twice(processes: Pr
     assert_monotone(run)
     learners = summary_of(run)["learners"]
     for pid in SUBTASKS:
-        kept = newest_about(run, pid)["interactions"]
-        assert learners[pid]["interactions"] == kept if pid != "p1" else learners[pid]["interactions"] >= kept
+        counted, kept = learners[pid]["interactions"], newest_about(run, pid)["interactions"]
+        story = f"{pid}: {counted} interactions counted, {kept} in its newest checkpoint"
+        assert counted >= kept if pid == "p1" else counted == kept, story
+
+
+@pytest.mark.timeout(900)
+def test_the_last_word_of_a_slow_learner_is_waited_for(processes: Processes) -> None:
+    run = processes.folder / "run"
+    started = train(processes, run, "--seed", "1")
+    processes.until(lambda: all_count(run), "all learners learn", PATIENCE_S)
+    number = worker_number(run, "p2")
+    assert number is not None
+    os.kill(number, signal.SIGSTOP)  # as if its turn took long
+    started.send(signal.SIGINT)
+    processes.until(lambda: "g given back" in events(run), "the others hear of the end", STOP_S)
+    time.sleep(SLOW_S)
+    os.kill(number, signal.SIGCONT)
+    assert started.wait(STOP_S) == 130, started.story()
+    counted, kept = summary_of(run)["learners"]["p2"]["interactions"], newest_about(run, "p2")["interactions"]
+    assert counted == kept
+    assert "p2 given back" in events(run)
 
 
 def test_a_run_that_goes_on_cannot_be_resumed_or_deleted(processes: Processes) -> None:

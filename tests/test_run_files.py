@@ -18,12 +18,12 @@ from test_resume_plan import stopped_run
 from coordinator.checkpointing import go_on
 from coordinator.saved_state import saved_counts, saved_state
 from coordinator.snapshot import summary
-from t4nmtd_dist.cli.options import RunOptions
-from t4nmtd_dist.cli.plan import plan_run
 from t4nmtd_dist.core.errors import RunError
 from t4nmtd_dist.runs.checkpoints import newest_checkpoint, write_checkpoint
 from t4nmtd_dist.runs.counts import read_counts, write_counts
 from t4nmtd_dist.runs.directory import RunDirectory
+from t4nmtd_dist.runs.options import RunOptions
+from t4nmtd_dist.runs.planning import plan_run
 from t4nmtd_dist.runs.resuming import read_stopped_run
 
 NAMES = [

@@ -25,11 +25,13 @@ from small_sac import (
     twin,
 )
 
+from t4nmtd_dist.agents.common.attempt_statistics import AttemptStatistics
+from t4nmtd_dist.agents.common.batches import Batch
+from t4nmtd_dist.agents.common.batches_ahead import BATCHES_AHEAD
+from t4nmtd_dist.agents.common.off_policy import OffPolicyLearner
 from t4nmtd_dist.agents.common.peer_values import NoPeers, PeerCritics
 from t4nmtd_dist.agents.common.replay_buffer import Returns
-from t4nmtd_dist.agents.common.rollout import Attempts
-from t4nmtd_dist.agents.sac.agent import BATCHES_AHEAD, SACLearner
-from t4nmtd_dist.agents.sac.fast_cpu.update import PeerSoftValues, SACBatch
+from t4nmtd_dist.agents.sac.updater import PeerSoftValues
 
 # Acting and counting
 
@@ -37,9 +39,10 @@ from t4nmtd_dist.agents.sac.fast_cpu.update import PeerSoftValues, SACBatch
 @pytest.mark.parametrize(("name", "pid", "bound"), [("task5", "g1", 1.0), ("task1", "red", 3.5)])
 @pytest.mark.parametrize("share", [0.0, 1.0])
 def test_actions_are_within_the_bounds_and_use_all_of_them(name: str, pid: str, bound: float, share: float) -> None:
-    learner = small_sac(pid, f"sac.wave_share={share}", "sac.hold_share=0", "sac.learning_starts=400", name=name)
-    taken, step = [], learner.attempts.step
-    learner.attempts.step = lambda actions: (taken.append(actions.copy()), step(actions))[1]  # type: ignore
+    flags = ("sac.exploration=sinusoid", f"sac.exploration_share={share}", "sac.learning_starts=400")
+    learner = small_sac(pid, *flags, name=name)
+    taken, step = [], learner.rollout.step
+    learner.rollout.step = lambda actions: (taken.append(actions.copy()), step(actions))[1]  # type: ignore
     for _ in range(5):
         learner.iterate(NoPeers())
     actions = np.concatenate(taken)
@@ -58,7 +61,7 @@ def test_interactions_and_updates_are_counted_exactly(per_step: float) -> None:
     for iteration in range(1, 6):
         assert learner.iterate(NoPeers())
         interactions = iteration * 20
-        assert learner.attempts.interactions == interactions
+        assert learner.rollout.interactions == interactions
         assert learner.version == iteration
         assert len(learner.experience) == interactions
         due = int(per_step * interactions) - int(per_step * 48)  # 50 experiences are there at interaction 50
@@ -79,7 +82,7 @@ def test_nothing_is_learned_before_there_is_enough_to_learn_from() -> None:
 def test_a_learner_without_start_states_waits() -> None:
     learner = small_sac("g3")
     assert not learner.iterate(NoPeers())
-    assert (learner.attempts.interactions, learner.version, len(learner.experience)) == (0, 0, 0)
+    assert (learner.rollout.interactions, learner.version, len(learner.experience)) == (0, 0, 0)
 
 
 def test_what_is_stored_is_what_happened() -> None:
@@ -103,7 +106,7 @@ def test_what_is_stored_is_what_happened() -> None:
 def test_exploration_is_decided_when_an_attempt_begins_and_at_no_other_time() -> None:
     learner = small_sac("g1", "learner.attempt_steps=4", "sac.learning_starts=400", starts=((START, AT_G1),))
     told: list[tuple[list[bool], float]] = []
-    for exploration in (learner._waves, learner._holds):
+    for exploration in (learner.agent._waves, learner.agent._holds):
         exploration.begin = lambda copies, success: told.append((copies.tolist(), success))  # type: ignore
     learner.iterate(NoPeers())
     learner.iterate(NoPeers())
@@ -125,7 +128,7 @@ class Update:
     ``own_targets`` are those that a twin of the learner computes when it is told of no peer.
     """
 
-    batch: SACBatch
+    batch: Batch
     returns: Returns
     told: PeerSoftValues
     alpha: float
@@ -133,24 +136,24 @@ class Update:
     own_targets: Floats
 
 
-def updates_of(learner: SACLearner, peers: PeerCritics, iterations: int = 4) -> list[Update]:
+def updates_of(learner: OffPolicyLearner, peers: PeerCritics, iterations: int = 4) -> list[Update]:
     """Let a learner train, and look into every update."""
     updates: list[Update] = []
     drawn: list[Returns] = []
-    read, update = learner.experience.returns, learner.updater.update
+    read, update = learner.experience.returns, learner.agent.updater.update
 
     def reading(*arguments: Any) -> Returns:
         drawn.append(read(*arguments))
         return drawn[-1]
 
-    def updating(batch: SACBatch, told: PeerSoftValues) -> None:
-        alpha, other = float(np.exp(learner.weights()["log_alpha"][0])), twin(learner.updater)
+    def updating(batch: Batch, told: PeerSoftValues) -> None:
+        alpha, other = float(np.exp(learner.weights()["log_alpha"][0])), twin(learner.agent.updater)
         other.update(batch)
         update(batch, told)
-        targets, own = np.array(learner.updater.targets), np.array(other.targets)
+        targets, own = np.array(learner.agent.updater.targets), np.array(other.targets)
         updates.append(Update(batch, drawn[len(updates)], told, alpha, targets, own))
 
-    learner.experience.returns, learner.updater.update = reading, updating  # type: ignore[method-assign]
+    learner.experience.returns, learner.agent.updater.update = reading, updating  # type: ignore[method-assign]
     for _ in range(iterations):
         learner.iterate(peers)
     assert len(updates) == learner.gradient_steps > 20
@@ -190,7 +193,7 @@ def test_acceptance_is_terminal_and_paid() -> None:
         assert update.targets[accepted] == pytest.approx(paid, abs=1e-4)
 
 
-def crossing_learner(*flags: str, silent: int = 0) -> tuple[SACLearner, CheckedPeers]:
+def crossing_learner(*flags: str, silent: int = 0) -> tuple[OffPolicyLearner, CheckedPeers]:
     """A learner of g1 that begins in its target, half of the time, and its peers."""
     learner = small_sac("g1", "learner.attempt_steps=6", *flags, starts=((START, AT_G1),))
     others = {pid: small_sac(pid, *flags, seed=seed) for seed, pid in enumerate(PIDS[1:], 1)}
@@ -238,13 +241,13 @@ def test_what_is_asked_is_the_state_after_the_change_read_by_the_peer() -> None:
 def test_peers_are_asked_about_the_batches_ahead_before_one_is_trained() -> None:
     """So that another process has time to answer."""
     learner, peers = crossing_learner()
-    ahead, update = [], learner.updater.update
+    ahead, update = [], learner.agent.updater.update
 
-    def updating(batch: SACBatch, told: PeerSoftValues) -> None:
+    def updating(batch: Batch, told: PeerSoftValues) -> None:
         ahead.append(max(number for number, *_ in peers.questions) - learner.gradient_steps)
         update(batch, told)
 
-    learner.updater.update = updating  # type: ignore[method-assign]
+    learner.agent.updater.update = updating  # type: ignore[method-assign]
     for _ in range(4):
         learner.iterate(peers)
     assert max(ahead) == BATCHES_AHEAD - 1
@@ -258,21 +261,21 @@ def test_every_question_is_asked_once_and_after_a_resume_once_more() -> None:
         learner.iterate(first)
     asked = [(batch, row) for batch, row, *_ in first.questions]
     assert len(asked) == len(set(asked))
-    pending = [drawn.number for drawn in learner._ahead for _ in drawn.asked_rows]
+    pending = [drawn.number for drawn in learner._ahead.drawn for _ in drawn.asked_rows]
     assert {*pending} == {batch for batch, _ in asked if batch >= learner.gradient_steps}
     resumed, again = crossing_learner()
-    resumed._ahead, resumed.gradient_steps = learner._ahead, learner.gradient_steps
-    resumed._ask(again)
+    resumed._ahead.load_state_dict(learner._ahead.state_dict(), learner.gradient_steps)
+    resumed._ahead._ask(again)
     assert [batch for batch, *_ in again.questions] == pending
 
 
 def test_another_one_hot_would_be_another_answer() -> None:
     learner = small_sac("g2")
     observations = np.random.default_rng(0).uniform(-1, 1, (5, 23)).astype(np.float32)
-    generator = learner.updater.optimiser_state()
+    generator = learner.agent.updater.optimiser_state()
     answers = []
     for q in range(6):
-        learner.updater.load_optimiser_state(generator)
+        learner.agent.updater.load_optimiser_state(generator)
         answers.append(learner.critic_values(observations, np.full(5, q, np.int32)))
     for q in range(6):
         assert all(np.abs(answers[q] - answers[other]).min() > 1e-5 for other in range(q))
@@ -292,7 +295,7 @@ def test_rows_whose_peer_did_not_answer_use_the_own_critic() -> None:
 
 def test_a_learner_that_hands_over_to_itself_asks_nobody() -> None:
     learner = small_sac("g1", starts=((START, AT_G1),))
-    learner.batches.high_level.choose = lambda q, rng: "g1"  # type: ignore[method-assign]
+    learner.batches.method.successors = lambda role, q_next, rng: ["g1"] * len(q_next)  # type: ignore[method-assign]
     peers = CheckedPeers({})
     updates = updates_of(learner, peers)
     assert sum(update.returns.boundary.sum() for update in updates) > 20
@@ -307,7 +310,7 @@ def test_a_learner_that_hands_over_to_itself_asks_nobody() -> None:
 def test_a_share_of_a_batch_is_read_in_other_states_of_the_subtask(share: float) -> None:
     """Task 6 goes through g1 in ten of its automaton's transitions."""
     learner = small_sac("g1", f"sac.relabel_share={share}", "sac.batch=64", "sac.n_step=1", name="task6")
-    available = set(np.flatnonzero(learner.batches.tables.available).tolist())
+    available = set(np.flatnonzero(learner.batches.reader.tables.available).tolist())
     assert len(available) > 4
     states, experience = small_sac_task(name="task6").dfa.states, learner.experience
     for _ in range(3):
@@ -332,9 +335,9 @@ def test_what_a_relabelled_row_leads_to_is_computed_from_its_letter() -> None:
     for _ in range(4):
         learner.iterate(NoPeers())
     rows = np.arange(len(experience))
-    for q in np.flatnonzero(learner.batches.tables.available):
+    for q in np.flatnonzero(learner.batches.reader.tables.available):
         found = experience.returns(
-            rows, np.full(len(rows), q, np.int32), learner.batches.tables, task.dfa.delta, 0.99, 1
+            rows, np.full(len(rows), q, np.int32), learner.batches.reader.tables, task.dfa.delta, 0.99, 1
         )
         assert found.q_next.tolist() == [int(task.dfa.delta[q, symbol]) for symbol in experience.symbols[rows]]
 
@@ -355,10 +358,9 @@ def test_by_default_random_actions_for_ever_are_worth_one_target(
 @pytest.mark.parametrize(("success", "share"), [(None, 1.0), (0.0, 1.0), (0.5, 0.25), (1.0, 0.0)])
 def test_the_entropy_coefficient_of_a_learner_that_fails_stays_up(success: float | None, share: float) -> None:
     learner = small_sac("g1", "sac.initial_alpha=0.3", "sac.alpha_floor=0.5", "learner.reward_scale=1e-6")
-    type_of_attempts = type(learner.attempts)
-    learner.attempts.__class__ = type("Told", (type_of_attempts,), {"recent_success": success})
+    learner.rollout.statistics.__class__ = type("Told", (AttemptStatistics,), {"recent_success": success})
     learner.iterate(NoPeers())
-    learner.updater._log_alpha.fill_(-20.0)
+    learner.agent.updater._log_alpha.fill_(-20.0)
     for _ in range(3):
         learner.iterate(NoPeers())
     expected = max(0.3 * 0.5 * share, np.exp(-20.0))
@@ -371,11 +373,11 @@ def test_the_entropy_coefficient_of_a_learner_that_fails_stays_up(success: float
 def test_the_learning_rate_falls_with_success(
     decay: float, success: float | None, factor: float, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(Attempts, "recent_success", success)
+    monkeypatch.setattr(AttemptStatistics, "recent_success", success)
     learner = small_sac("g1", f"sac.learning_rate_decay={decay}", "sac.learning_rate=0.01")
     while not learner.gradient_steps:
         learner.iterate(NoPeers())
-    optimisers = learner.updater._optimisers  # type: ignore[attr-defined]
+    optimisers = learner.agent.updater._optimisers  # type: ignore[attr-defined]
     assert {name: each.learning_rate for name, each in optimisers.items()} == pytest.approx(
         dict.fromkeys(("actor", "critics", "alpha"), 0.01 * factor)
     )

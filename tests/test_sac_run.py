@@ -17,11 +17,13 @@ from small_sac import AT_G1, PIDS, START, TO_G2, TO_G3, TO_G4, averaged, product
 
 from coordinator.snapshot import summary
 from coordinator.state import RunSettings
-from t4nmtd_dist.agents.actors import GaussianActor, scaled
-from t4nmtd_dist.agents.common.networks import part_of, product_state
+from t4nmtd_dist.agents.common import product_states as networks_states
+from t4nmtd_dist.agents.common.action_bounds import scaled
+from t4nmtd_dist.agents.common.off_policy import OffPolicyLearner
 from t4nmtd_dist.agents.common.peer_values import NoPeers
 from t4nmtd_dist.agents.registry import build_learner
-from t4nmtd_dist.agents.sac.agent import SACLearner
+from t4nmtd_dist.agents.sac.actor import GaussianActor
+from t4nmtd_dist.agents.weights import part_of
 from t4nmtd_dist.cli.check import check
 from t4nmtd_dist.core.errors import ConfigError, EnvError, PolicyError, ProtocolError
 from t4nmtd_dist.environments.action_spaces import action_bounds
@@ -30,7 +32,8 @@ from t4nmtd_dist.launch.serial import SerialRun
 from t4nmtd_dist.method.compiled import CompiledTask, compile_task
 from t4nmtd_dist.method.start_states import InitialStateBuffer
 from t4nmtd_dist.policy.export import export_policy
-from t4nmtd_dist.policy.global_policy import GlobalPolicy, load
+from t4nmtd_dist.policy.global_policy import GlobalPolicy
+from t4nmtd_dist.policy.loading import load
 from t4nmtd_dist.tasks import load_task
 
 SERIAL = (
@@ -77,7 +80,7 @@ def evaluations_of(run: SerialRun) -> list[Any]:
 def test_two_runs_of_one_seed_are_equal_bit_for_bit(run: SerialRun) -> None:
     first, second = run, run_of(3, clock=1234.5)
     assert same(all_weights(first), all_weights(second))
-    assert first.coordinator.high_level.entries() == second.coordinator.high_level.entries() != []
+    assert first.coordinator.method.entries() == second.coordinator.method.entries() != []
     assert report_of(first) == report_of(second)
     learners = [run.sessions["g1"].learner for run in (first, second)]
     assert learners[0].gradient_steps == learners[1].gradient_steps > 0
@@ -109,7 +112,7 @@ def test_interactions_and_updates_of_a_run_are_those_of_its_learners(run: Serial
 Q_TABLE = [(START, "g1", 1.0), (TO_G2, "g2", 1.0), (TO_G3, "g3", 1.0), (TO_G4, "g4", 1.0)]
 
 
-def trained(name: str, pid: str) -> SACLearner:
+def trained(name: str, pid: str) -> OffPolicyLearner:
     learner = small_sac(pid, name=name)
     for _ in range(4):
         learner.iterate(NoPeers())
@@ -130,7 +133,7 @@ def test_a_loaded_policy_acts_as_the_live_actors_averages(tmp_path: Path) -> Non
     for row in range(len(q)):
         learner = learners[{START: "g1", TO_G2: "g2", TO_G3: "g3", TO_G4: "g4"}[int(q[row])]]
         state = product_states(observations[row : row + 1], q[row : row + 1])
-        live = averaged(learner.updater).act(state, deterministic=True)
+        live = averaged(learner.agent.updater).act(state, deterministic=True)
         assert actions[row] == pytest.approx(live[0], abs=1e-6)
     assert policy.act(observations[0], []) in spaces.Box(-1, 1, (2,), np.float32)
 
@@ -141,13 +144,12 @@ def test_actions_of_a_policy_are_stretched_to_its_action_space() -> None:
     weights = learner.weights()
     weights["average.head.weight"][:] *= 300
     learner.load(weights, 1)
-    config = (task.config, task.dfa, task.decomposition, [(0, "red", 1.0)])
-    policy = GlobalPolicy(*config, {"red": weights}, task.rho)
-    observations = np.random.default_rng(0).uniform(-1, 1, (50, learner.attempts.observations.shape[1]))
+    policy = GlobalPolicy(task, [(0, "red", 1.0)], {"red": weights})
+    observations = np.random.default_rng(0).uniform(-1, 1, (50, learner.rollout.observations.shape[1]))
     observations = observations.astype(np.float32)
     states = product_states(observations, np.zeros(50, np.int32), task.dfa.states)
     actions, _ = policy.actions(observations, np.zeros(50, np.int32))
-    assert np.allclose(actions, 3.5 * averaged(learner.updater).act(states, deterministic=True), atol=1e-5)
+    assert np.allclose(actions, 3.5 * averaged(learner.agent.updater).act(states, deterministic=True), atol=1e-5)
     assert all(action in spaces.Box(-3.5, 3.5, (2,), np.float32) for action in actions)
     assert np.abs(actions).max() > 3.4
 
@@ -177,7 +179,7 @@ def test_weights_go_from_one_learner_to_another() -> None:
 
 
 @pytest.fixture(scope="module")
-def asked() -> SACLearner:
+def asked() -> OffPolicyLearner:
     return trained("task5", "g1")
 
 
@@ -186,9 +188,9 @@ def test_the_published_critic_is_the_one_after_the_last_update() -> None:
     observations, q = np.zeros((3, 23), np.float32), np.array([START, TO_G2, START], np.int32)
     for version in range(1, 6):
         learner.iterate(NoPeers())
-        copy = learner.published._copy
-        expected = twin(learner.updater)
-        expected.load_optimiser_state(copy.optimiser_state())  # its noise is its own
+        critic = learner.published._critic
+        expected = twin(learner.agent.updater)
+        expected._generator.set_state(critic.generator.get_state())  # its noise is its own
         values, published = learner.published.values({"observation": observations, "q": q})
         assert published == learner.version == version
         assert values.dtype == np.float32
@@ -234,7 +236,7 @@ def fits(request: dict[str, NDArray[Any]]) -> bool:
 @example(question={"observation": np.zeros((0, 23), np.float32), "q": np.zeros(0, np.int32)})
 @example(question={"observation": np.zeros((2, 23), np.float32), "q": np.array([0, 5], np.int64)})
 def test_a_malformed_request_is_refused_and_a_good_one_answered(
-    asked: SACLearner, question: dict[str, NDArray[Any]]
+    asked: OffPolicyLearner, question: dict[str, NDArray[Any]]
 ) -> None:
     if not fits(question):
         with pytest.raises(ProtocolError):
@@ -263,7 +265,7 @@ MISFITS = [
 def test_actions_that_a_learner_cannot_take_are_refused_by_name(name: str, algorithm: str, message: str) -> None:
     task = misfit(name, algorithm)
     with pytest.raises(EnvError, match=message):
-        build_learner(task, task.decomposition.pids[0], InitialStateBuffer(10), task.q_table(), seed=0)
+        build_learner(task, task.decomposition.pids[0], InitialStateBuffer(10), task.method(), seed=0)
 
 
 @pytest.mark.parametrize(("name", "algorithm", "message"), MISFITS)
@@ -322,4 +324,4 @@ def test_a_replay_too_small_to_ever_learn_is_refused(flags: tuple[str, ...]) -> 
 
 def test_product_states_of_the_tests_are_those_of_the_networks() -> None:
     observations, q = np.random.default_rng(0).random((6, 3)).astype(np.float32), np.arange(6, dtype=np.int32)
-    assert np.array_equal(product_states(observations, q), product_state(observations, q, 6).numpy())
+    assert np.array_equal(product_states(observations, q), networks_states.product_states(observations, q, 6))

@@ -15,22 +15,16 @@ from hypothesis import strategies as st
 from torch import Tensor
 from torch.nn import functional
 
+from t4nmtd_dist.agents.common.batches import Batch
 from t4nmtd_dist.agents.common.flat_adam import FlatAdam
-from t4nmtd_dist.agents.common.squashed_gaussian import output_gradient, squashed_sample
 from t4nmtd_dist.agents.sac.fast_cpu import matmul as products
 from t4nmtd_dist.agents.sac.fast_cpu.backward import chosen_input_gradient, weight_gradients
+from t4nmtd_dist.agents.sac.fast_cpu.forward import Activations, evaluate
+from t4nmtd_dist.agents.sac.fast_cpu.squashed_gaussian import output_gradient, squashed_sample
 from t4nmtd_dist.agents.sac.fast_cpu.update import SACUpdater
-from t4nmtd_dist.agents.sac.interface import PeerSoftValues, SACBatch, SACSettings
-from t4nmtd_dist.agents.sac.networks import (
-    LAYER_NORM_EPSILON,
-    Activations,
-    Layers,
-    Stack,
-    StackShape,
-    evaluate,
-    flat_length,
-    layers_of,
-)
+from t4nmtd_dist.agents.sac.networks import LAYER_NORM_EPSILON, Layers, Stack, flat_length, layers_of
+from t4nmtd_dist.agents.sac.shapes import StackShape
+from t4nmtd_dist.agents.sac.updater import PeerSoftValues, SACSettings
 from t4nmtd_dist.core.errors import PolicyError
 
 torch.set_num_threads(1)  # a second thread waits for the other tests' processes
@@ -149,9 +143,9 @@ def test_adam_is_torchs_adam() -> None:
 # Whole updates
 
 
-def random_batch(rows: int, states: int, actions: int, seed: int = 3) -> SACBatch:
+def random_batch(rows: int, states: int, actions: int, seed: int = 3) -> Batch:
     sizes = ((rows, states), (rows, actions), (rows,), (rows,), (rows, states))
-    batch, generator = SACBatch(*map(torch.zeros, sizes)), torch.Generator().manual_seed(seed)
+    batch, generator = Batch(*map(torch.zeros, sizes)), torch.Generator().manual_seed(seed)
     batch.states.normal_(generator=generator)
     batch.next_states.normal_(generator=generator)
     batch.actions.uniform_(-1, 1, generator=generator)
@@ -220,7 +214,7 @@ class StableBaselines:
         pairs += [("std", actor.log_std.weight, head[size:]), ("std bias", actor.log_std.bias, bias[size:])]
         return [*pairs, ("log_alpha", self.sac.log_ent_coef, weights["log_alpha"])]
 
-    def train(self, batch: SACBatch, noise: Tensor, monkeypatch: pytest.MonkeyPatch) -> dict[str, float]:
+    def train(self, batch: Batch, noise: Tensor, monkeypatch: pytest.MonkeyPatch) -> dict[str, float]:
         """One update; returns its losses."""
         from stable_baselines3.common.type_aliases import ReplayBufferSamples
 

@@ -15,20 +15,13 @@ from t4nmtd_dist.tasks import load_task
 from t4nmtd_dist.wire.auth.key_folders import add_client, make_coordinator_folder, revoke
 from t4nmtd_dist.wire.auth.keys import load_client, load_coordinator, new_pair, write_public, write_secret
 from t4nmtd_dist.wire.messages import Status
-from t4nmtd_dist.wire.sockets import new_context
 from t4nmtd_dist.wire.status_client import ask_status
+from t4nmtd_dist.wire.zmq_types import new_context
 
 END_S = 10.0
 REFUSED_S = 30.0
 QUICK = ("--set", "ppo.rollout=32", "--set", "learner.hidden=[16]", "--set", "evaluation.every=200")
 SUBTASKS = ("p1", "p2", "p3", "g")
-
-
-@pytest.fixture
-def processes(tmp_path: Path) -> Iterator[Processes]:
-    started = Processes(tmp_path)
-    yield started
-    started.end()
 
 
 @pytest.fixture

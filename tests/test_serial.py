@@ -36,8 +36,8 @@ def same(a: dict[str, NDArray[Any]], b: dict[str, NDArray[Any]]) -> bool:
 def test_two_runs_of_one_seed_are_equal_bit_for_bit() -> None:
     first, second = run_of(3, rounds=4), run_of(3, rounds=4, clock=1234.5)
     assert same(all_weights(first), all_weights(second))
-    assert first.coordinator.high_level.entries() == second.coordinator.high_level.entries()
-    assert first.coordinator.high_level.entries() != []
+    assert first.coordinator.method.entries() == second.coordinator.method.entries()
+    assert first.coordinator.method.entries() != []
     reports = [summary(run.coordinator) for run in (first, second)]
     for report in reports:
         report.pop("wall_s")
@@ -66,7 +66,8 @@ def test_interactions_are_those_of_the_learners_worlds() -> None:
     config = small_task(*FLAGS).config
     trained = {pid: s.learner.version for pid, s in run.sessions.items()}
     assert trained["p1"] == trained["p2"] == trained["p3"] == 3
-    assert run.coordinator.interactions == sum(trained.values()) * config.ppo.num_envs * config.ppo.rollout
+    ppo = config.agents["ppo"]
+    assert run.coordinator.interactions == sum(trained.values()) * ppo.num_envs * ppo.rollout
 
 
 def test_the_learner_of_the_goal_gets_start_states_from_the_others() -> None:

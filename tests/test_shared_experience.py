@@ -12,12 +12,13 @@ import zmq
 from hypothesis import given
 from hypothesis import strategies as st
 from numpy.typing import NDArray
+from routers import receive_from
 from small_sac import AT_G1, PIDS, TO_G2, small_sac, small_sac_task
 
+from t4nmtd_dist.agents.common.off_policy import OffPolicyLearner
 from t4nmtd_dist.agents.common.peer_success_replay import ChanceFinds, target_symbols
 from t4nmtd_dist.agents.common.peer_values import NoPeers
 from t4nmtd_dist.agents.common.replay_buffer import BEFORE_SUCCESS, SHARED, Experience
-from t4nmtd_dist.agents.sac.agent import SACLearner
 from t4nmtd_dist.core.errors import ProtocolError
 from t4nmtd_dist.method.rewards import subtask_tables
 from t4nmtd_dist.wire.codec import Envelope
@@ -29,7 +30,8 @@ from t4nmtd_dist.wire.peers.experience_client import (
     PeerExperience,
     checked_columns,
 )
-from t4nmtd_dist.wire.sockets import Context, Socket, bind, bound_endpoint, receive_from, send
+from t4nmtd_dist.wire.sockets import bind, bound_endpoint, send
+from t4nmtd_dist.wire.zmq_types import Context, Socket
 from workers.critic_service import EXPERIENCE_BYTES, CriticService
 
 SIZE, ACTIONS, LETTERS = 3, 2, 4
@@ -357,7 +359,7 @@ def test_bad_columns_leave_what_is_there_and_are_told_of_once(context: Context) 
 # What a batch holds
 
 
-def taught(share: float, **flags: str) -> tuple[SACLearner, SACLearner]:
+def taught(share: float, **flags: str) -> tuple[OffPolicyLearner, OffPolicyLearner]:
     """Learners of g1 and g2, both with experience, g1 learning from both."""
     chosen = [f"sac.peer_share={share}", "sac.success_share=0.0", *(f"{k}={v}" for k, v in flags.items())]
     first = small_sac("g1", *chosen)
@@ -486,7 +488,7 @@ def test_who_fails_reads_more_of_what_its_peers_found_by_chance(success: float, 
     """One symbol in a hundred is g1's; its row is drawn a hundredth of the time by a learner that succeeds."""
     first, second = taught(1.0, **{"sac.success_share": "0.9", "sac.batch": "1000"})
     size = second.experience.observations.shape[1]
-    symbol = int(np.flatnonzero(target_symbols(first.batches.tables, small_sac_task().dfa.delta))[0])
+    symbol = int(np.flatnonzero(target_symbols(first.batches.reader.tables, small_sac_task().dfa.delta))[0])
     wide, like = second.experience.alike(100), kept_all(second.experience)
     columns = {name: np.zeros((100, *column.shape[1:]), column.dtype) for name, column in like.items()}
     columns["ended"][:] = True

@@ -14,6 +14,7 @@ import pytest
 import zmq
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
+from routers import receive_from
 from small_tasks import small_task
 
 from coordinator.endpoints import Access
@@ -31,21 +32,12 @@ from t4nmtd_dist.wire.messages import (
     LearnerStats,
     Message,
     Refused,
+    Release,
     Sync,
     SyncReply,
 )
-from t4nmtd_dist.wire.sockets import (
-    Context,
-    Socket,
-    bind,
-    bound_endpoint,
-    connect,
-    new_context,
-    receive,
-    receive_from,
-    send,
-    subscribe,
-)
+from t4nmtd_dist.wire.sockets import bind, bound_endpoint, connect, receive, send, subscribe
+from t4nmtd_dist.wire.zmq_types import Context, Socket, new_context
 
 DEADLINE_S = 10.0
 FREE_PORT = "tcp://127.0.0.1:*"
@@ -190,6 +182,7 @@ def service_in(folder: Path, endpoints: tuple[str, str] = (FREE_PORT, FREE_PORT)
 @pytest.fixture
 def running(tmp_path: Path, context: Context, monkeypatch: pytest.MonkeyPatch) -> Iterator[Running]:
     monkeypatch.setattr("coordinator.service.FAREWELL_S", 0.0)
+    monkeypatch.setattr("coordinator.service.LONGEST_FAREWELL_S", 4.0)  # nobody here says a last word
     service = service_in(tmp_path)
     thread = threading.Thread(target=service.serve, daemon=True)
     thread.start()
@@ -285,6 +278,31 @@ def test_an_interrupted_coordinator_says_goodbye_to_workers_and_ends(running: Ru
     running.service.interrupt("asked")
     assert answer(worker) == Goodbye(reason="stopped")
     running.thread.join(DEADLINE_S)
+    assert not running.thread.is_alive()
+
+
+def test_a_learner_without_a_last_word_is_told_of(running: Running, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("coordinator.service.LONGEST_FAREWELL_S", 0.1)
+    running.claim("p1")
+    socket, granted = running.claim("g")
+    tell(socket, Release(pid="g", epoch=granted.epoch))
+    running.service.interrupt("asked")
+    running.thread.join(DEADLINE_S)
+    told = [line.text for line in running.service.state.events]
+    assert any(text.startswith("no last word of p1: ") for text in told), told
+
+
+def test_who_stops_a_coordinator_twice_waits_less_for_last_words(
+    running: Running, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("coordinator.service.HURRIED_FAREWELL_S", 0.0)
+    monkeypatch.setattr("coordinator.service.LONGEST_FAREWELL_S", 1e9)
+    worker, _ = running.claim()
+    running.service.interrupt("asked")
+    assert answer(worker) == Goodbye(reason="stopped")
+    assert running.thread.is_alive()
+    running.service.interrupt("asked again")
+    running.thread.join(5.0)
     assert not running.thread.is_alive()
 
 

@@ -21,12 +21,12 @@ from coordinator.finishing import write_result
 from coordinator.run_logger import Recorder
 from coordinator.saved_state import saved_state
 from coordinator.state import RunSettings
-from t4nmtd_dist.cli.options import RunOptions
-from t4nmtd_dist.cli.train import train_serial
+from t4nmtd_dist.cli.train import train
 from t4nmtd_dist.core.errors import RunError
 from t4nmtd_dist.launch.serial import SerialRun
 from t4nmtd_dist.runs.checkpoints import write_checkpoint
 from t4nmtd_dist.runs.directory import RunDirectory
+from t4nmtd_dist.runs.options import RunOptions
 from t4nmtd_dist.runs.resuming import Identity, read_stopped_run, write_identity
 from t4nmtd_dist.wire.messages import EvaluationJob, EvaluationPoll, LearnerStats
 
@@ -171,13 +171,6 @@ def test_an_unsolved_run_does_not_wait_and_keeps_its_last_checkpoint(tmp_path: P
     assert (run.directory.checkpoints / "coordinator" / "000001").exists()
 
 
-@pytest.fixture
-def processes(tmp_path: Path) -> Iterator[Processes]:
-    started = Processes(tmp_path)
-    yield started
-    started.end()
-
-
 def test_a_serial_run_that_was_solved_is_resumed_to_write_its_result(tmp_path: Path) -> None:
     task = small_task()
     serial = SerialRun(task, RunSettings(0, 10**6, lease_s=float("inf")), lambda: 0.0)
@@ -187,7 +180,7 @@ def test_a_serial_run_that_was_solved_is_resumed_to_write_its_result(tmp_path: P
     run.write_settings(task.config, 0, 10**6)
     write_identity(run.path, Identity("", serial=True))
     write_checkpoint(run.checkpoints / "serial", {"run_id": "", "place": "serial"}, serial.state_dict())
-    assert train_serial(RunOptions(resume=run.path, translator="python")) == 0
+    assert train(RunOptions(resume=run.path, translator="python"), launcher="serial") == 0
     assert run.read_summary()["interactions_total"] == serial.coordinator.interactions
     assert run.read_summary()["outcome"] == "solved"
     assert not (run.checkpoints / "serial").exists()

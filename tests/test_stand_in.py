@@ -13,8 +13,8 @@ from small_tasks import small_task
 
 from coordinator.events import Received, RecordEvaluation, Send, Tell
 from coordinator.stand_ins import STAND_IN_AFTER_S
-from t4nmtd_dist.agents.actors import acting_parameters
 from t4nmtd_dist.agents.registry import build_learner
+from t4nmtd_dist.agents.weights import acting_parameters
 from t4nmtd_dist.core.errors import PolicyError
 from t4nmtd_dist.method.start_states import InitialStateBuffer
 from t4nmtd_dist.policy.evaluation import Evaluator
@@ -366,10 +366,10 @@ def test_an_evaluator_reports_its_processor_time_once_and_asks_for_more() -> Non
 def test_an_evaluation_step_by_step_is_the_same_as_at_once() -> None:
     task = small_task()
     learners = {
-        pid: build_learner(task, pid, InitialStateBuffer(10), task.q_table(), seed=0) for pid in task.decomposition.pids
+        pid: build_learner(task, pid, InitialStateBuffer(10), task.method(), seed=0) for pid in task.decomposition.pids
     }
     actors = {pid: acting_parameters(learner.weights()) for pid, learner in learners.items()}
-    policy = GlobalPolicy(task.config, task.dfa, task.decomposition, [(0, "p1", 1.0)], actors, task.rho)
+    policy = GlobalPolicy(task, [(0, "p1", 1.0)], actors)
     at_once, in_steps = (Evaluator(policy, 4, seed=3) for _ in range(2))
     expected = at_once.run(policy, perturb=2)
     results = []

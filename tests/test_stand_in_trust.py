@@ -14,13 +14,14 @@ from test_stand_in import Alone, Slices
 from t4nmtd_dist.core.errors import TrustError
 from t4nmtd_dist.wire.codec import Envelope
 from t4nmtd_dist.wire.messages import Claim, EvaluationPoll, Failure, Granted, Message, Release
+from workers.options import Connection, WorkerOptions
 from workers.stand_in import STAND_IN, StandIn
-from workers.worker import Worker, WorkerOptions
+from workers.worker import Worker
 
 
 @pytest.fixture
 def worker() -> Iterator[Worker]:
-    made = Worker(WorkerOptions("tcp://127.0.0.1:9", "learner", ["p1"], "p1", 60.0))
+    made = Worker(WorkerOptions(Connection("tcp://127.0.0.1:9"), "learner", ["p1"], "p1"))
     try:
         yield made
     finally:

@@ -23,7 +23,7 @@ from t4nmtd_dist.cli.status import page
 from t4nmtd_dist.launch.serial import SerialRun
 from t4nmtd_dist.method.start_states import InitialStateBuffer
 from t4nmtd_dist.wire.messages import LearnerStats
-from workers.learner_session import counted_since
+from t4nmtd_dist.wire.statistics import counted_since
 
 STUCK = LearnerStats(
     phase="training",
@@ -139,28 +139,29 @@ def test_status_and_dashboard_have_it_in_the_learners_row() -> None:
 
 def test_attempts_count_how_they_end() -> None:
     learner = small_learner("p2", "ppo.num_envs=1", "learner.attempt_steps=8")
-    attempts = learner.attempts
-    assert attempts.begin()
+    rollout, attempts = learner.rollout, learner.rollout.statistics
+    assert rollout.begin()
     for way in (INTO_HOLE, (0,) * 8, (*TO_PASSENGER_2, PICK), INTO_HOLE):
         for action in way:
-            attempts.step(np.array([action]))
+            rollout.step(np.array([action]))
     assert (attempts.attempts, attempts.successes) == (4, 1)
     assert (attempts.endings.errors, attempts.endings.timeouts, attempts.endings.terminated) == (0, 1, 2)
-    other = small_learner("p2", "ppo.num_envs=1", "learner.attempt_steps=8").attempts
-    other.load_state_dict(attempts.state_dict())
-    assert other.endings == attempts.endings
-    old = attempts.state_dict()
+    other = small_learner("p2", "ppo.num_envs=1", "learner.attempt_steps=8").rollout
+    other.load_state_dict(rollout.state_dict())
+    assert other.statistics.endings == attempts.endings
+    old = rollout.state_dict()
     old["counts"] = old["counts"][:3]
     other.load_state_dict(old)
-    assert (other.attempts, other.endings.errors) == (4, 0)
+    assert (other.statistics.attempts, other.statistics.endings.errors) == (4, 0)
 
 
 def test_attempts_that_break_the_formula_count_as_errors() -> None:
     flags = ("formula=F(p1) & G(!p2)", "ppo.num_envs=1", "learner.attempt_steps=8")
-    attempts = small_learner("p1", *flags).attempts
-    assert attempts.begin()
+    rollout = small_learner("p1", *flags).rollout
+    assert rollout.begin()
     for action in (*TO_PASSENGER_2, PICK):
-        attempts.step(np.array([action]))
+        rollout.step(np.array([action]))
+    attempts = rollout.statistics
     assert (attempts.attempts, vars(attempts.endings)) == (1, {"errors": 1, "terminated": 0, "timeouts": 0})
 
 

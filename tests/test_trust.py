@@ -7,7 +7,6 @@ import os
 import pty
 import select
 import time
-from collections.abc import Iterator
 from concurrent.futures import ProcessPoolExecutor
 from pathlib import Path
 from typing import Any
@@ -55,13 +54,6 @@ rollout = 16
 every = 50
 episodes = 2
 """
-
-
-@pytest.fixture
-def processes(tmp_path: Path) -> Iterator[Processes]:
-    started = Processes(tmp_path)
-    yield started
-    started.end()
 
 
 @pytest.fixture
@@ -130,7 +122,7 @@ def test_trust_lets_it_run(processes: Processes, stranger: Stranger) -> None:
 
 def test_modules_in_a_strangers_folder_shadow_nothing(processes: Processes, stranger: Stranger) -> None:
     """A bundled environment opens without trust, and the folder that comes with it is not searched."""
-    stranger.plant("envs/__init__", "envs/frozenlake", "envs/frozenlake_batch", "pygame", "pymunk", "mujoco", "torch")
+    stranger.plant("envs/__init__", "envs/frozenlake", "envs.frozenlake", "pygame", "pymunk", "mujoco", "torch")
     for name in ("t4nmtd/FrozenLake-v0", "t4nmtd/Waterworld-v0"):
         policy = stranger.policy({"id": f"envs:{name}", "path": str(stranger.code)})
         evaluated = start(processes, "t4nmtd", "evaluate", str(policy), "--episodes", "1")

@@ -14,7 +14,7 @@ from small_tasks import START, TO_PASSENGER_2, small_learner, small_task, snapsh
 
 from coordinator.events import Tell
 from coordinator.state import CoordinatorState, RunSettings
-from t4nmtd_dist.agents.common.rollout import MOST_FAILURES
+from t4nmtd_dist.agents.common.restarts import MOST_FAILURES
 from t4nmtd_dist.agents.ppo.agent import PPOLearner
 from t4nmtd_dist.agents.weight_checks import NetworkSizes, check_weights, expected_shapes
 from t4nmtd_dist.core.errors import EnvError
@@ -162,7 +162,7 @@ BAD_STATE = np.full(3, 10**9, np.int64)
 def learner_with(*starts: tuple[int, NDArray[Any]]) -> tuple[PPOLearner, list[str]]:
     """A learner of the sub-task that begins after passenger 2; its environment refuses states like ``BAD_STATE``."""
     learner, told = small_learner("g", starts=starts), list[str]()
-    learner.attempts.tell = told.append
+    learner.rollout.report_to(told.append)
     return learner, told
 
 
@@ -171,38 +171,38 @@ GOOD = (2, snapshot_after(*TO_PASSENGER_2))
 
 def test_a_start_state_that_cannot_be_restored_is_dropped_and_another_taken() -> None:
     learner, told = learner_with(GOOD, (2, BAD_STATE), (2, BAD_STATE + 1), (2, BAD_STATE + 2))
-    assert learner.attempts.begin()
+    assert learner.rollout.begin()
     for _ in range(200):
-        learner.attempts.step(np.zeros(4, np.int64))
-    assert learner.attempts._buffer.count(2) == 1
+        learner.rollout.step(np.zeros(4, np.int64))
+    assert learner.rollout._restarts._buffer.count(2) == 1
     assert len(told) == 1
     assert "a start state of DFA state 2 is dropped" in told[0]
-    assert np.isfinite(learner.attempts.observations).all()
+    assert np.isfinite(learner.rollout.observations).all()
 
 
 def test_a_learner_whose_start_states_are_all_unusable_waits_for_others() -> None:
     learner, told = learner_with((2, BAD_STATE))
-    assert not learner.attempts.begin()
+    assert not learner.rollout.begin()
     assert len(told) == 1
-    assert not learner.attempts.begin()
-    learner.attempts._buffer.add(*GOOD)
-    assert learner.attempts.begin()
+    assert not learner.rollout.begin()
+    learner.rollout._restarts._buffer.add(*GOOD)
+    assert learner.rollout.begin()
 
 
 def test_a_world_that_restores_nothing_ends_with_what_is_wrong() -> None:
     many = [(2, BAD_STATE + number) for number in range(MOST_FAILURES + 5)]
     learner, _ = learner_with(*many)
     with pytest.raises(EnvError, match=r"(?s)in a row could not be restored.*t4nmtd check"):
-        learner.attempts.begin()
+        learner.rollout.begin()
 
 
 def test_where_the_reset_is_a_start_bad_states_cost_nothing_but_a_line() -> None:
     learner = small_learner("p1", starts=((START, BAD_STATE),))
     told: list[str] = []
-    learner.attempts.tell = told.append
-    assert learner.attempts.begin()
+    learner.rollout.report_to(told.append)
+    assert learner.rollout.begin()
     for _ in range(100):
-        learner.attempts.step(np.zeros(4, np.int64))
+        learner.rollout.step(np.zeros(4, np.int64))
     assert len(told) == 1
 
 

@@ -17,10 +17,10 @@ from small_tasks import own_task
 
 from t4nmtd_dist.core.config import EnvironmentConfig
 from t4nmtd_dist.core.errors import EnvError
-from t4nmtd_dist.environments.batched import make_env
+from t4nmtd_dist.environments.make_env import make_env
 from t4nmtd_dist.environments.opening import import_module
-from t4nmtd_dist.environments.restoring import choose_snapshots
-from t4nmtd_dist.environments.single_env import EnvironmentCopy
+from t4nmtd_dist.environments.single_env import SingleEnv
+from t4nmtd_dist.environments.snapshot_choice import choose_snapshots
 
 NAMES = ("left", "right", "again")
 END_S = 100.0
@@ -107,7 +107,7 @@ def assert_told(text: str, place: str, folder: Path) -> None:
 
 def everything(environment: EnvironmentConfig) -> None:
     """All that training and recording ask of a copy."""
-    copy = EnvironmentCopy(environment, NAMES, render_mode="rgb_array")
+    copy = SingleEnv(environment, NAMES, render_mode="rgb_array")
     copy.reset(0)
     copy.step(0)
     copy.set_state(copy.get_state())
@@ -240,10 +240,3 @@ every = 1000000
     )
     assert "Traceback" not in started.err, started.story()
     assert f'File "{processes.folder / "broken.py"}", line {LINE}, in fail' in told, started.story()
-
-
-@pytest.fixture
-def processes(tmp_path: Path) -> Iterator[Processes]:
-    started = Processes(tmp_path)
-    yield started
-    started.end()

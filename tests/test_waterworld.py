@@ -17,8 +17,7 @@ from numpy.typing import NDArray
 from ponds import BLUE, COLOURS, GREEN, RED, colour_counts, command, commands, pond, run, snapshots
 
 from envs.protocol import SnapshotEnv, SnapshotVectorEnv
-from envs.waterworld import WaterworldEnv
-from envs.waterworld_batch import WaterworldVectorEnv
+from envs.waterworld import WaterworldEnv, WaterworldVectorEnv
 from envs.waterworld_ponds import COPIES_PER_SPACE
 from t4nmtd_dist.wire.codec import Envelope, decode, encode
 from t4nmtd_dist.wire.messages import Release
@@ -267,6 +266,7 @@ def test_the_world_is_registered_with_its_batch_and_without_a_step_limit() -> No
     assert batch.step(batch.action_space.sample())[0] in batch.observation_space
 
 
+@pytest.mark.process
 def test_registering_imports_no_physics() -> None:
     program = "import sys, envs; print([m for m in ('pymunk', 'mujoco', 'PIL') if m in sys.modules])"
     done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, timeout=60)

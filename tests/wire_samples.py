@@ -33,16 +33,10 @@ LEARNER = {
     "worker": "w1",
     "epoch": 2,
     "version": 3,
-    "interactions": 4096,
-    "steps_per_s": 512.5,
-    "updates": 96,
-    "updates_per_s": 12.25,
-    "attempts": 70,
-    "recent_success": 0.25,
     "starts_waiting": 6,
     "heartbeat_age_s": 0.5,
-    "intervention": INTERVENTION,
-    "successes": 3,
+    "total": STATS,
+    "rates": {"interactions": 512.5, "gradient_steps": 12.25},
     "hint": "no success yet",
 }
 EVALUATION = {

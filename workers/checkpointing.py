@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Iterable, Mapping
+from collections.abc import Collection, Iterable, Mapping
 from contextlib import suppress
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -20,9 +21,30 @@ from t4nmtd_dist.wire.messages import Granted
 if TYPE_CHECKING:
     from workers.learner_session import LearnerSession
 
+UNANSWERED_S = 10.0  # after which a checkpoint is written without the coordinator's answer: it may be away
+
+
+@dataclass(frozen=True)
+class _Held:
+    """A checkpoint that waits for the coordinator to have counted what it holds.
+
+    Attributes:
+        message: the message that told the coordinator all that the checkpoint holds.
+        until: when to wait no longer.
+    """
+
+    session: LearnerSession
+    message: tuple[int, int]
+    until: float
+    about: State
+    state: State
+
 
 class SessionKeeper:
     """Checkpoints of the learners of one worker.
+
+    A learner that goes on from a checkpoint tells nothing again of what it holds. So it is written only once the
+    coordinator has counted that: else it would be counted never if the worker is killed before it is told.
 
     Args:
         checkpoints: ``checkpoints/`` of a run directory, which holds a folder for every sub-task; or any other folder,
@@ -35,6 +57,7 @@ class SessionKeeper:
         self._checkpoints, self._every_s, self._say = checkpoints, every_s, say
         self._writer = BackgroundWriter(say)
         self._due: dict[str, float] = {}
+        self._held: _Held | None = None
 
     def go_on(self, session: LearnerSession, granted: Granted, arrays: Mapping[str, NDArray[Any]]) -> None:
         """Let a fresh session go on from the newest checkpoint of its sub-task in this run, if there is one."""
@@ -52,19 +75,40 @@ class SessionKeeper:
             raise RunError(f"cannot go on from {found.path}: {error}; delete it to learn without it") from error
         self._say(f"{granted.pid} goes on from {found.path} with {len(session.buffer)} start states")
 
-    def turn(self, sessions: Iterable[LearnerSession]) -> None:
-        """Begin to write the checkpoint that is due, if any; the work goes on meanwhile."""
+    def turn(self, sessions: Collection[LearnerSession]) -> None:
+        """Begin to write the checkpoint that is due, if any; the work goes on meanwhile.
+
+        To be called right after messages to the coordinator, when these hold all that was done.
+        """
+        now = time.monotonic()
         if self._writer.busy:
             return
-        now = time.monotonic()
+        if self._held is not None:
+            self._write_held(self._held, sessions, now)
+            return
         for session in sessions:
-            if now >= self._due.get(session.pid, now):
-                self._due[session.pid] = now + self._every_s
-                self._writer.begin(self._folder(session), _about(session), copied(session.state_dict()))
+            late_s = now - self._due.get(session.pid, now)
+            if late_s >= UNANSWERED_S or (late_s >= 0 and session.all_told):
+                self._hold(session, now)
                 return
+
+    def _hold(self, session: LearnerSession, now: float) -> None:
+        self._due[session.pid] = now + self._every_s
+        until = now + UNANSWERED_S if session.all_told else now
+        self._held = _Held(session, session.newest_message, until, _about(session), copied(session.state_dict()))
+
+    def _write_held(self, held: _Held, sessions: Collection[LearnerSession], now: float) -> None:
+        """Begin to write what is held if it was counted; a learner that has ended here has no say any more."""
+        ended = held.session not in sessions
+        if not ended and now < held.until and not held.session.has_answer_to(held.message):
+            return
+        self._held = None
+        if not ended:
+            self._writer.begin(self._folder(held.session), held.about, held.state)
 
     def finish(self, sessions: Iterable[LearnerSession]) -> None:
         """Write the last checkpoint of every learner, and wait for it."""
+        self._held = None
         self._writer.wait()
         for session in sessions:
             self._writer.write(self._folder(session), _about(session), session.state_dict())
@@ -94,5 +138,5 @@ def _about(session: LearnerSession) -> State:
         "place": session.pid,
         "epoch": session.epoch,
         "version": learner.version,
-        "interactions": learner.attempts.interactions,
+        "interactions": learner.rollout.interactions,
     }

@@ -37,7 +37,8 @@ from t4nmtd_dist.wire.messages import (
 )
 from t4nmtd_dist.wire.rate_limited_log import Notices, Tell
 from t4nmtd_dist.wire.secure_receiver import Arrival, Gate
-from t4nmtd_dist.wire.sockets import Context, bind, bound_endpoint, send
+from t4nmtd_dist.wire.sockets import bind, bound_endpoint, send
+from t4nmtd_dist.wire.zmq_types import Context
 
 if TYPE_CHECKING:
     from t4nmtd_dist.agents.common.replay_buffer import Experience

@@ -83,4 +83,4 @@ class EvaluationSession:
             pid, _, name = key.partition("/weights.")
             actors.setdefault(pid, {})[name] = array
         task = self._task
-        return GlobalPolicy(task.config, task.dfa, task.decomposition, q_table, actors, task.rho)
+        return GlobalPolicy(task, q_table, actors)

@@ -35,7 +35,7 @@ class EvaluationWork:
     def __init__(
         self,
         session: EvaluationSession,
-        send: Callable[[Message], None],
+        send: Callable[[Message], object],
         clock: Callable[[], float] = time.monotonic,
     ) -> None:
         self._session, self._send, self._clock = session, send, clock

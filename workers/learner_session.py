@@ -14,7 +14,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from t4nmtd_dist.agents.common.peer_values import InterventionCounts, PeerCritics
-from t4nmtd_dist.agents.common.rollout import Progress
 from t4nmtd_dist.agents.registry import build_learner, subtask_seed
 from t4nmtd_dist.agents.weight_checks import check_alike
 from t4nmtd_dist.automata.dfa import DFA
@@ -26,13 +25,12 @@ from t4nmtd_dist.method.compiled import CompiledTask
 from t4nmtd_dist.method.decomposition import Decomposition
 from t4nmtd_dist.method.start_states import InitialStateBuffer
 from t4nmtd_dist.wire.codec import Envelope, without_prefix
-from t4nmtd_dist.wire.limits import most_starts
 from t4nmtd_dist.wire.messages import Granted, Intervention, LearnerStats, Peer, Sync, SyncReply
+from t4nmtd_dist.wire.progress import newest_starts, pack_progress, unpack_starts
+from t4nmtd_dist.wire.statistics import counted_since
 
 RESEND_S = 2.0
 STARTS_PER_SYNC = 64
-INTERVENTION = Intervention.__struct_fields__
-ENDINGS = ("errors", "timeouts", "terminated")
 
 
 def compiled_from(granted: Granted) -> CompiledTask:
@@ -67,15 +65,15 @@ class LearnerSession:
         task = compiled_from(granted)
         self.pid, self.epoch, self.lease_s = granted.pid, granted.epoch, granted.lease_s
         self.buffer = InitialStateBuffer(task.config.learner.start_capacity)
-        self.high_level = task.q_table()
+        self.method = task.method()
         seed = subtask_seed(granted.seed, granted.pid, granted.epoch)
-        self.learner = build_learner(task, granted.pid, self.buffer, self.high_level, seed=seed, device=device)
+        self.learner = build_learner(task, granted.pid, self.buffer, self.method, seed=seed, device=device)
         self.peers: dict[str, Peer] = {}
         self.intervention = task.config.learner.intervention
-        self.symbols = task.dfa.delta.shape[1]
+        self._dfa_states, self.symbols = task.dfa.delta.shape
         self.processor_s = 0.0  # kept by whoever has a clock
         self._tell = tell
-        self.learner.attempts.tell = self._say
+        self.learner.rollout.report_to(self._say)
         self._take_weights(granted, arrays)
         self.run_id = granted.run_id
         self._trained_for = training_of(granted)
@@ -101,8 +99,10 @@ class LearnerSession:
 
     def _begin_lease(self, sent_version: int) -> None:
         self._told: LearnerStats | None = None
-        self._told_unless_heard: LearnerStats | None = None
-        self._sequence = 0
+        self._unanswered: dict[int, LearnerStats] = {}
+        self._heard: LearnerStats | None = None
+        self._ending = False
+        self._sequence = self._answered = 0
         self._start_cursor = 0
         self._sent_version = sent_version
         self._outstanding: Envelope | None = None
@@ -136,7 +136,7 @@ class LearnerSession:
         self._load(state)
         if granted.version > self.learner.version:
             self._take_weights(granted, arrays)
-        self.learner.attempts.take_progress()
+        self.learner.rollout.take_progress()
         self._counts = InterventionCounts()
         told = msgspec.convert(state["lease"]["told"], LearnerStats)
         self._told_before = msgspec.structs.replace(told, intervention=Intervention(), processor_s=self.processor_s)
@@ -146,7 +146,7 @@ class LearnerSession:
         return {
             "learner": self.learner.state_dict(),
             "buffer": self.buffer.state_dict(),
-            "q_table": self.high_level.entries(),
+            "q_table": self.method.entries(),
             "counts": asdict(self._counts),
             "lease": {
                 "sequence": self._sequence,
@@ -169,11 +169,12 @@ class LearnerSession:
     def _load(self, state: State) -> None:
         self.learner.load_state_dict(state["learner"])
         self.buffer.load_state_dict(state["buffer"])
-        self.high_level.load((q, pid, value) for q, pid, value in state["q_table"])
+        self.method.load((q, pid, value) for q, pid, value in state["q_table"])
 
     def iterate(self, peers: PeerCritics) -> bool:
-        """One roll-out and its updates; False while there is no state to start from."""
-        self._training = self.learner.iterate(peers)
+        """One roll-out and its updates; False while there is no state to start from, or others are scheduled."""
+        scheduled = self.method.schedule()
+        self._training = (scheduled is None or self.pid in scheduled) and self.learner.iterate(peers)
         self._counts = peers.counts
         return self._training
 
@@ -205,9 +206,8 @@ class LearnerSession:
     def last_sync(self) -> Envelope:
         """What the coordinator has not been told yet, at the end of the work; answered like any other."""
         self._sequence += 1
-        told = self._told or self._told_before
         self._outstanding = self._sync()
-        self._told_unless_heard = told
+        self._ending = True
         return self._outstanding
 
     @property
@@ -215,13 +215,31 @@ class LearnerSession:
         """Whether the coordinator has answered the last message."""
         return self._outstanding is None
 
+    @property
+    def all_told(self) -> bool:
+        """Whether the newest message holds all that was done, be it answered or not."""
+        done = (self.learner.rollout.interactions, self.learner.gradient_steps)
+        return self._told is not None and (self._told.interactions, self._told.gradient_steps) == done
+
+    @property
+    def newest_message(self) -> tuple[int, int]:
+        """Epoch and number of the newest message."""
+        return self.epoch, self._sequence
+
+    def has_answer_to(self, message: tuple[int, int]) -> bool:
+        """Whether the coordinator has answered a ``newest_message``, or one after it, of this very lease."""
+        epoch, sequence = message
+        return epoch == self.epoch and sequence <= self._answered
+
     def _counts_told(self) -> LearnerStats:
         """Counts that the coordinator has heard of, or will while this lease lasts."""
-        unheard = self._told_unless_heard
-        return self._all_counts() if unheard is None or self.heard else unheard
+        if self._ending and not self.heard:
+            return self._heard or self._told_before
+        return self._all_counts()
 
     def _sync(self) -> Envelope:
-        arrays = _pack(self.learner.attempts.take_progress())
+        progress = self.learner.rollout.take_progress()
+        arrays = pack_progress(progress.changes, newest_starts(progress.starts, STARTS_PER_SYNC))
         if self.learner.version > self._sent_version:
             self._sent_version = self.learner.version
             arrays |= {f"weights.{name}": array for name, array in self.learner.weights().items()}
@@ -237,15 +255,15 @@ class LearnerSession:
 
     def _stats(self) -> LearnerStats:
         """Counts since the lease began."""
-        self._told = self._all_counts()
+        self._told = self._unanswered[self._sequence] = self._all_counts()
         return counted_since(self._told, self._told_before)
 
     def _all_counts(self) -> LearnerStats:
-        attempts = self.learner.attempts
+        rollout, attempts = self.learner.rollout, self.learner.rollout.statistics
         entropy, value_loss = self.learner.losses()
         return LearnerStats(
             phase="training" if self._training else "waiting",
-            interactions=attempts.interactions,
+            interactions=rollout.interactions,
             gradient_steps=self.learner.gradient_steps,
             attempts=attempts.attempts,
             successes=attempts.successes,
@@ -260,44 +278,31 @@ class LearnerSession:
         )
 
     def take_reply(self, envelope: Envelope) -> None:
-        """Take the coordinator's answer: start states, Q table, peers; answers to other sub-tasks are left alone."""
+        """Take the coordinator's answer: start states, Q table, peers; ignore answers to other sub-tasks.
+
+        Raises:
+            ProtocolError: if its start states cannot be read.
+        """
         reply = envelope.message
         if not isinstance(reply, SyncReply) or (reply.pid, reply.epoch) != (self.pid, self.epoch):
             return
-        if reply.accepted_sequence >= self._sequence:
-            self._outstanding = None
+        self._take_answer(reply.accepted_sequence)
         if reply.start_cursor > self._start_cursor:
             self._start_cursor = reply.start_cursor
-            starts = zip(envelope.arrays["starts.q"].tolist(), envelope.arrays["starts.state"], strict=True)
-            for q, state in starts:
+            for q, state in unpack_starts(envelope.arrays, self._dfa_states):
                 self.buffer.add(q, state)
-        self.high_level.load(reply.q_table)
+        self.method.load(reply.q_table)
         self.peers = reply.peers
+
+    def _take_answer(self, sequence: int) -> None:
+        """The coordinator has counted all messages up to this one."""
+        self._answered = max(self._answered, sequence)
+        for number in [number for number in self._unanswered if number <= sequence]:
+            self._heard = self._unanswered.pop(number)
+        if sequence >= self._sequence:
+            self._outstanding = None
 
 
 def training_of(granted: Granted) -> tuple[object, ...]:
     """All that decides what is learned under a lease: task with settings, automaton, sub-tasks, potentials, seed."""
     return granted.task, granted.dfa, granted.decomposition, granted.rho, granted.seed
-
-
-def counted_since(now: LearnerStats, before: LearnerStats) -> LearnerStats:
-    """``now`` with the counts of ``before`` taken off."""
-    counts = ("interactions", "gradient_steps", "attempts", "successes", "processor_s", *ENDINGS)
-    asked = {name: getattr(now.intervention, name) - getattr(before.intervention, name) for name in INTERVENTION}
-    less = {name: getattr(now, name) - getattr(before, name) for name in counts}
-    return msgspec.structs.replace(now, **less, intervention=Intervention(**asked))
-
-
-def _pack(progress: Progress) -> dict[str, NDArray[Any]]:
-    """Arrays of a Sync; of the start states the newest distinct ones, the oldest of them first."""
-    arrays: dict[str, NDArray[Any]] = {}
-    if progress.changes:
-        arrays["progress.q"] = np.array([(q, to, steps) for q, to, steps, _ in progress.changes], np.int32)
-        arrays["progress.reward"] = np.array([reward for *_, reward in progress.changes], np.float64)
-    newest = {(q, state.tobytes()): (q, state) for q, state in progress.starts}
-    kept = list(newest.values())
-    if kept:
-        kept = kept[-most_starts(STARTS_PER_SYNC, kept[-1][1].nbytes) :]
-        arrays["starts.q"] = np.array([q for q, _ in kept], np.int32)
-        arrays["starts.state"] = np.stack([state for _, state in kept])
-    return arrays

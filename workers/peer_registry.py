@@ -12,7 +12,7 @@ from t4nmtd_dist.wire.peers.critic_client import QueryPeers
 from t4nmtd_dist.wire.peers.experience_client import PeerExperience
 from t4nmtd_dist.wire.peers.replica import ReplicaPeers
 from t4nmtd_dist.wire.rate_limited_log import Tell
-from t4nmtd_dist.wire.sockets import Context
+from t4nmtd_dist.wire.zmq_types import Context
 
 if TYPE_CHECKING:
     from t4nmtd_dist.agents.common.replay_buffer import Experience

@@ -59,7 +59,7 @@ class StandIn:
     def __init__(
         self,
         instance: str,
-        send: Callable[[Message], None],
+        send: Callable[[Message], object],
         say: Callable[[str], None],
         clock: Callable[[], float] = time.monotonic,
         sessions: Callable[[Granted], EvaluationSession] = open_session,

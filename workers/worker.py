@@ -5,21 +5,16 @@ A place is claimed before torch and the environments are imported, which takes s
 
 from __future__ import annotations
 
-import os
-import socket as hostnames
 import sys
 import time
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
-from dataclasses import dataclass
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from numpy.typing import NDArray
 
-from t4nmtd_dist.core.devices import Device
 from t4nmtd_dist.core.errors import ProtocolError
-from t4nmtd_dist.process.signals import hear_ends
+from t4nmtd_dist.process.signals import install_signal_handlers
 from t4nmtd_dist.wire.addresses import critic_endpoints
 from t4nmtd_dist.wire.auth.handshake import HandshakeMonitor, trouble
 from t4nmtd_dist.wire.auth.keys import load_client
@@ -32,13 +27,14 @@ from t4nmtd_dist.wire.messages import (
     Message,
     Refused,
     Release,
-    Role,
     SyncReply,
 )
-from t4nmtd_dist.wire.sockets import connect, new_context, receive, send
+from t4nmtd_dist.wire.sockets import connect, receive, send
+from t4nmtd_dist.wire.zmq_types import new_context
 from workers.critic_service import CriticService
 from workers.evaluation_work import EvaluationWork
 from workers.lazy_import import Loader, WaitingLease, check_trust
+from workers.options import CheckpointOptions, WorkerOptions
 from workers.peer_registry import Neighbours
 from workers.stand_in import STAND_IN, StandIn
 from workers.state import Action, Ask, Begin, End, Exit, GiveBack, Say, WorkerState
@@ -51,33 +47,8 @@ SYNC_INTERVAL_S = 0.2
 HEARTBEAT_S = 0.5
 IDLE_POLL_S = 0.05
 LONG_TURN_S = 2.0
-LAST_ANSWERS_S = 1.0
+LAST_ANSWERS_S = 5.0  # counts told but not answered are told again by a resume
 STOPPED = 130
-
-
-@dataclass(frozen=True)
-class WorkerOptions:
-    """How a worker was started; see ``t4nmtd-worker --help``."""
-
-    coordinator: str
-    role: Role
-    pids: Sequence[str]
-    instance: str
-    wait_s: float
-    critic_host: str = ""
-    critic_port: int = 0
-    advertise: str = ""
-    keys: Path | None = None
-    insecure: bool = False
-    trust: bool = False
-    checkpoints: Path | None = None
-    checkpoint_every_s: float = 300.0
-    device: Device = "cpu"
-
-
-def default_instance() -> str:
-    """A name for this process: host and process number."""
-    return f"{hostnames.gethostname()}:{os.getpid()}"
 
 
 class Worker:
@@ -92,19 +63,19 @@ class Worker:
     """
 
     def __init__(self, options: WorkerOptions) -> None:
-        self._options = options
+        self._options, self._connection = options, options.connection
         self._context = new_context()
-        self._keys = None if options.keys is None else load_client(options.keys)
+        self._keys = None if options.connection.keys is None else load_client(options.connection.keys)
         self._critics = self._serve_critics()
-        self._control = connect(self._context, options.coordinator, self._keys, monitored=True)
+        self._control = connect(self._context, options.connection.coordinator, self._keys, monitored=True)
         self._handshakes = HandshakeMonitor(self._control)
         self._state = WorkerState(
             options.role,
             options.instance,
             options.pids,
-            options.coordinator,
+            options.connection.coordinator,
             self._critics.endpoint,
-            options.wait_s,
+            options.connection.wait_s,
             time.monotonic(),
         )
         self._sessions: dict[str, LearnerSession] = {}
@@ -121,18 +92,16 @@ class Worker:
         self._told: set[str] = set()
         self._interrupted = False
 
-    def _keep(self, checkpoints: Path) -> SessionKeeper:
+    def _keep(self, checkpoints: CheckpointOptions) -> SessionKeeper:
         from workers.checkpointing import SessionKeeper
 
-        return SessionKeeper(checkpoints, self._options.checkpoint_every_s, say)
+        return SessionKeeper(checkpoints.folder, checkpoints.every_s, say)
 
     def _serve_critics(self) -> CriticService:
-        options = self._options
-        endpoint, told = critic_endpoints(
-            options.coordinator, options.critic_host, options.critic_port, options.advertise
-        )
+        address, connection = self._options.critic, self._connection
+        endpoint, told = critic_endpoints(connection.coordinator, address.host, address.port, address.advertise)
         own = None if self._keys is None else self._keys.own
-        return CriticService(self._context, endpoint, advertise=told, insecure=options.insecure, own=own, tell=say)
+        return CriticService(self._context, endpoint, advertise=told, insecure=connection.insecure, own=own, tell=say)
 
     def run(self) -> int:
         """Work until the run is over (exit code 0), nothing can be done (2), or a signal says stop (130).
@@ -141,7 +110,7 @@ class Worker:
             TrustError: if the coordinator wants code to be run and may be anybody.
             EnvError: if the task's environment fails.
         """
-        hear_ends(self._interrupt)
+        install_signal_handlers(self._interrupt)
         try:
             while self._exit is None and not self._interrupted:
                 self._turn()
@@ -158,11 +127,11 @@ class Worker:
     def _end_work(self) -> None:
         """Tell the coordinator the rest, give everything back, and keep what was learned."""
         sessions = list(self._sessions.values())
-        for session in sessions:
-            sync = session.last_sync()
-            self._send(sync.message, sync.arrays)
+        syncs = [session.last_sync() for session in sessions]
+        sent = [self._send(sync.message, sync.arrays) for sync in syncs]
         self._give_back()
-        self._hear_answers(sessions)
+        if any(sent):
+            self._hear_answers(sessions)
         if self._keeper is not None and self._solved:
             self._keeper.delete(sessions)
         elif self._keeper is not None:
@@ -183,8 +152,6 @@ class Worker:
     def _turn(self) -> None:
         self._open_sessions()
         busy = self._evaluate() or (not self._stand_in.waiting and self._learn())
-        if self._keeper is not None:
-            self._keeper.turn(self._sessions.values())
         self._watch_connection()
         self._hear(0.0 if busy else IDLE_POLL_S)
         now = time.monotonic()
@@ -201,6 +168,8 @@ class Worker:
             if evaluation is not None:
                 evaluation.tell()
         self._last_syncs = now
+        if self._keeper is not None:
+            self._keeper.turn(self._sessions.values())
 
     def _keep_leases(self) -> None:
         """Within a turn: a sign of life for every lease that would run out if this turn took much longer."""
@@ -214,7 +183,7 @@ class Worker:
     def _watch_connection(self) -> None:
         """Give up when the coordinator will not talk to this worker; tell what else keeps a connection away, once."""
         while (outcome := self._handshakes.next()) is not None:
-            text = trouble(outcome, self._options.coordinator, self._keys)
+            text = trouble(outcome, self._connection.coordinator, self._keys)
             if text is not None and outcome != "broken":
                 self._exit = Exit(2, text)
             elif text is not None and text not in self._told:
@@ -238,15 +207,15 @@ class Worker:
             session.processor_s += time.process_time() - began
         return any(trained)
 
-    def _send(self, message: Message, arrays: Mapping[str, NDArray[Any]] | None = None, *, number: int = 0) -> None:
-        send(self._control, Envelope(message, arrays or {}, self._options.instance, number))
+    def _send(self, message: Message, arrays: Mapping[str, NDArray[Any]] | None = None, *, number: int = 0) -> bool:
+        return send(self._control, Envelope(message, arrays or {}, self._options.instance, number))
 
     def _hear(self, timeout_s: float) -> None:
         while self._exit is None:
             try:
                 envelope = receive(self._control, timeout_s)
             except ProtocolError as error:
-                self._exit = Exit(2, f"{self._options.coordinator} does not speak this protocol: {error}")
+                self._exit = Exit(2, f"{self._connection.coordinator} does not speak this protocol: {error}")
                 return
             if envelope is None:
                 return
@@ -310,7 +279,7 @@ class Worker:
 
     def _check_trust(self, granted: Granted) -> None:
         if self._keys is None:
-            check_trust(granted, self._options.coordinator, given=self._options.trust)
+            check_trust(granted, self._connection.coordinator, given=self._connection.trust)
 
     def _end_those_of_another_training(self, granted: Granted) -> None:
         """Learners that outlived their coordinator are of no use to one that trains something else."""
@@ -332,7 +301,7 @@ class Worker:
             session = lease.learn(self._options.device, say)
             if self._keeper is not None:
                 self._keeper.go_on(session, lease.granted, lease.arrays)
-            session.learner.attempts.pulse = self._keep_leases
+            session.learner.rollout.pulse = self._keep_leases
             self._sessions[pid] = session
             self._neighbours.join(session)
             self._critics.serve(pid, session.learner.published, session.learner.experience)

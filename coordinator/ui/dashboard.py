@@ -155,7 +155,7 @@ def plain_line(state: DashboardState) -> str:
         f"success {success}",
         panels.row_so_far(state),
         _result(state),
-        " ".join(f"{row.pid}:{row.phase}:{percent(row.recent_success)}" for row in state.learners),
+        " ".join(f"{row.pid}:{row.phase}:{percent(row.total.recent_success)}" for row in state.learners),
     ]
     lost = _lost(state)
     if lost:

@@ -29,7 +29,7 @@ CHART_LABEL = 14
 
 def steps_per_s(state: DashboardState) -> float:
     """Interactions per second of all learners now, or over the whole run where none reports any."""
-    now = sum(row.steps_per_s for row in state.learners)
+    now = sum(row.rates.get("interactions", 0.0) for row in state.learners)
     if now > 0 or state.elapsed_s <= 0:
         return now
     return state.interactions / state.elapsed_s
@@ -64,7 +64,7 @@ def missing(state: DashboardState, rows: int) -> list[Text]:
 
 
 def _status_line(state: DashboardState) -> Text:
-    updates = sum(row.updates_per_s for row in state.learners)
+    updates = sum(row.rates.get("gradient_steps", 0.0) for row in state.learners)
     return spaced(
         (state.phase, PHASE_STYLE[state.phase]),
         (f"elapsed {duration(state.elapsed_s)}", "bold"),

@@ -7,7 +7,7 @@ cyan and magenta of the terminal's own palette, legible on dark and on light gro
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from itertools import groupby
 
@@ -15,11 +15,21 @@ from rich.console import Group, RenderableType
 from rich.table import Table
 from rich.text import Text
 
-from coordinator.ui.text import UNKNOWN, bar, clip, count, duration, line, percent, rate, ratio, value
+from coordinator.ui.text import UNKNOWN, bar, clip, count, duration, line, percent, rate, value
 from t4nmtd_dist.wire.messages import DashboardState, LearnerRow, QCell
+from t4nmtd_dist.wire.messages.statistics import Format, View
+from t4nmtd_dist.wire.statistics import viewed, views
 
 LEARNER_STYLE = {"free": "dim", "waiting": "magenta", "training": "green", "lost": "bold red"}
 PID_CELLS = 12
+NARROW = 96
+BAR_CELLS, WIDE_BAR_CELLS = 6, 14
+FORMATS: Mapping[Format, Callable[[float], str]] = {
+    "count": lambda number: count(int(number)),
+    "rate": rate,
+    "percent": percent,
+    "mean": "{:.1f}".format,
+}
 
 
 def age_style(age_s: float | None) -> str:
@@ -41,11 +51,6 @@ def _success_style(share: float | None) -> str:
     return "green" if share >= 0.9 else "cyan" if share >= 0.5 else "magenta"
 
 
-def _lag(row: LearnerRow) -> str:
-    mean = ratio(row.intervention.lag_total, row.intervention.answered)
-    return UNKNOWN if mean is None else f"{mean:.1f}"
-
-
 @dataclass(frozen=True)
 class _Column:
     """A column of the learners' table, shown from a page width of ``needs`` cells on."""
@@ -57,28 +62,30 @@ class _Column:
 
 
 def _learner_columns(width: int) -> list[_Column]:
-    bar_cells = 6 if width < 130 else 14
-    narrow = width < 96
+    """Who learns, then all statistics with a column, then what the coordinator knows itself."""
     columns = [
         _Column("pid", 0, lambda r: line(clip(r.pid, PID_CELLS), "bold"), left=True),
         _Column("phase", 0, lambda r: line(r.phase, LEARNER_STYLE[r.phase]), left=True),
         _Column("worker", 126, lambda r: clip(r.worker, 20), left=True),
         _Column("epoch", 126, lambda r: count(r.epoch)),
         _Column("version", 140, lambda r: count(r.version)),
-        _Column("steps" if narrow else "interactions", 0, lambda r: count(r.interactions)),
-        _Column("steps/s", 0, lambda r: rate(r.steps_per_s)),
-        _Column("updates", 140, lambda r: count(r.updates)),
-        _Column("upd/s", 0, lambda r: rate(r.updates_per_s)),
-        _Column("attempts", 126, lambda r: count(r.attempts)),
-        _Column("", 96, lambda r: bar(r.recent_success, bar_cells, _success_style(r.recent_success)), left=True),
-        _Column("success", 0, lambda r: line(percent(r.recent_success), _success_style(r.recent_success))),
+        *(_statistic_column(name, view, width) for name, view in views() if view.format),
         _Column("starts", 0, lambda r: count(r.starts_waiting)),
-        _Column("answers", 0, lambda r: percent(ratio(r.intervention.answered, r.intervention.asked))),
-        _Column("own", 76, lambda r: percent(ratio(r.intervention.own_used, r.intervention.asked))),
-        _Column("lag", 60, _lag),
         _Column("heard", 0, _age),
     ]
     return [column for column in columns if width >= column.needs]
+
+
+def _statistic_column(name: str, view: View, width: int) -> _Column:
+    def cell(row: LearnerRow) -> str | Text:
+        value = viewed(name, view, row.total, row.rates)
+        if view.format == "bar":
+            return bar(value, BAR_CELLS if width < 130 else WIDE_BAR_CELLS, _success_style(value))
+        text = UNKNOWN if value is None else FORMATS[view.format](value)
+        return line(text, _success_style(value)) if name == "recent_success" else text
+
+    title = view.short if view.short and width < NARROW else view.heading
+    return _Column(title, view.needs, cell, left=view.format == "bar")
 
 
 def learners(state: DashboardState, width: int, rows: int) -> RenderableType:

@@ -55,11 +55,6 @@ def percent(share: float | None) -> str:
     return UNKNOWN if share is None or not math.isfinite(share) else f"{100 * share:.0f}%"
 
 
-def ratio(part: int, whole: int) -> float | None:
-    """The quotient; None where there is nothing to divide by."""
-    return part / whole if whole > 0 else None
-
-
 def duration(seconds: float | None) -> str:
     """Seconds as ``h:mm:ss``, or as days from one hundred hours on."""
     if seconds is None or not math.isfinite(seconds):

@@ -15,7 +15,8 @@ from t4nmtd_dist.core.errors import ProtocolError, RunError
 from t4nmtd_dist.wire.auth.handshake import HandshakeMonitor, trouble
 from t4nmtd_dist.wire.auth.keys import ClientKeys
 from t4nmtd_dist.wire.messages import DashboardState
-from t4nmtd_dist.wire.sockets import Context, Socket, receive, subscribe
+from t4nmtd_dist.wire.sockets import receive, subscribe
+from t4nmtd_dist.wire.zmq_types import Context, Socket
 
 POLL_S = 0.2
 OVER = ("solved", "budget spent", "stopped")

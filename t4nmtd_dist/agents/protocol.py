@@ -1,19 +1,86 @@
-"""What every low-level learner offers, whatever its algorithm."""
+"""What an agent is: its learner, its actor, and what the other processes know of its parameters.
+
+An agent is a folder with the same few modules: ``config`` (settings and defaults), ``shapes`` (``AgentShapes``),
+``losses``, ``networks``, ``actor`` (``AgentActor``) and ``agent`` (``AgentBuilder``). ``core.registry.AGENTS`` names
+the folder; ``config`` and ``shapes`` import no torch, since the coordinator reads them.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
-from t4nmtd_dist.agents.common.networks import Weights
+from t4nmtd_dist.agents.common.context import AgentContext
 from t4nmtd_dist.agents.common.peer_values import PeerCritics, Values
 from t4nmtd_dist.agents.common.replay_buffer import Experience
-from t4nmtd_dist.agents.common.rollout import Attempts
+from t4nmtd_dist.agents.common.rollout import Rollout
+from t4nmtd_dist.agents.weights import Shapes, Weights
+from t4nmtd_dist.core.config import TaskConfig
 from t4nmtd_dist.core.state_dict import State
 from t4nmtd_dist.environments.batched import Observations
+
+Actions = NDArray[Any]
+
+
+class Actor(Protocol):
+    """The trained policy of one sub-task.
+
+    The loop it is meant for::
+
+        actor = make_actor(config.learner, weights)
+        while not episode_is_over:
+            observations, q = step(actor.act(product_states(observations, q, dfa.states)))
+    """
+
+    inputs: int
+    """Length of a product state, d + |Q|."""
+
+    def act(self, states: NDArray[np.float32], rng: np.random.Generator | None = None) -> Actions:
+        """Actions of product states [N, inputs]: int64 [N], or float32 [N, A] within the action space's bounds.
+
+        Args:
+            states: product states.
+            rng: draws the actions from the policy's distribution; without it they are the most likely ones.
+        """
+
+
+class AgentShapes(Protocol):
+    """Module ``shapes`` of an agent: names and shapes of its parameters.
+
+    The network that acts is named ``actor.*``, or ``average.*`` where an average of it acts.
+
+    The check it is meant for::
+
+        inputs_of, actions_of = shapes.size_parameters(config.learner.hidden)
+        inputs, actions = weights[inputs_of].shape[1], weights[actions_of].shape[0]
+        expected = shapes.parameter_shapes(config, inputs, actions)
+    """
+
+    def parameter_shapes(self, config: TaskConfig, inputs: int, actions: int) -> Shapes:
+        """Names and shapes of all parameters of a learner, statistics of observations excepted.
+
+        Args:
+            config: the task.
+            inputs: length of a product state.
+            actions: number of discrete actions, or length of a continuous one.
+        """
+
+    def size_parameters(self, hidden: Sequence[int]) -> tuple[str, str]:
+        """Names of two parameters, one of shape [., inputs, ..] and one of shape [actions, ..] or [actions]."""
+
+
+class AgentActor(Protocol):
+    """Module ``actor`` of an agent."""
+
+    def make_actor(self, hidden: tuple[int, ...], weights: Weights) -> Actor:
+        """The actor with these parameters, named as in the learner's weights without ``actor.`` or ``average.``.
+
+        Raises:
+            PolicyError: if parameters are missing or do not fit.
+        """
 
 
 class PublishedValues(Protocol):
@@ -46,11 +113,11 @@ class Learner(Protocol):
         while True:
             if not learner.iterate(peers):
                 wait_for_start_states()
-            tell(learner.attempts.take_progress(), learner.weights(), learner.version)
+            tell(learner.rollout.take_progress(), learner.weights(), learner.version)
     """
 
     pid: str
-    attempts: Attempts
+    rollout: Rollout
     version: int
     gradient_steps: int
     value_shape: tuple[int, ...]
@@ -101,4 +168,21 @@ class Learner(Protocol):
 
         Raises:
             RunError, PolicyError: if it is of a learner of another shape.
+        """
+
+
+class AgentBuilder(Protocol):
+    """Module ``agent`` of an agent.
+
+    The use it is meant for::
+
+        env = make_task_env(config, config.agent.num_envs)
+        learner = agent.build(AgentContext(..., rollout=Rollout(env, ...)))
+    """
+
+    def build(self, context: AgentContext) -> Learner:
+        """A learner.
+
+        Raises:
+            EnvError: if it cannot act in the environment's action space.
         """

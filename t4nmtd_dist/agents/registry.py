@@ -1,4 +1,4 @@
-"""Put a learner together from a compiled task."""
+"""Puts a learner together from a compiled task: environments, rollout, and the agent that the settings name."""
 
 from __future__ import annotations
 
@@ -6,17 +6,15 @@ import zlib
 
 import numpy as np
 
-from t4nmtd_dist.agents.common.rollout import Attempts
-from t4nmtd_dist.agents.ppo.agent import PPOLearner
+from t4nmtd_dist.agents.common.context import AgentContext
+from t4nmtd_dist.agents.common.rollout import Rollout
+from t4nmtd_dist.agents.modules import builder_module
 from t4nmtd_dist.agents.protocol import Learner
 from t4nmtd_dist.core.devices import Device
-from t4nmtd_dist.core.errors import ConfigError
-from t4nmtd_dist.environments.action_spaces import action_bounds, action_count
-from t4nmtd_dist.environments.batched import BatchedEnv
 from t4nmtd_dist.environments.timed import make_task_env
 from t4nmtd_dist.method.compiled import CompiledTask
-from t4nmtd_dist.method.high_level import QTable
-from t4nmtd_dist.method.rewards import ACCEPTANCE_REWARD, SubtaskTables, SymbolReader, subtask_tables
+from t4nmtd_dist.method.protocol import Method
+from t4nmtd_dist.method.rewards import SymbolReader
 from t4nmtd_dist.method.start_states import InitialStateBuffer
 
 
@@ -30,7 +28,7 @@ def build_learner(
     task: CompiledTask,
     pid: str,
     buffer: InitialStateBuffer,
-    high_level: QTable,
+    method: Method,
     *,
     seed: int,
     device: Device = "cpu",
@@ -39,67 +37,22 @@ def build_learner(
 
     Raises:
         EnvError: if the environment cannot be opened, or its spaces or propositions do not fit.
-        ConfigError: if the algorithm has not been decided (``environments.preparation.prepared`` does).
+        ConfigError: if there is no such algorithm, or it has not been decided (``environments.preparation.prepared``
+            does).
     """
     config = task.config
-    settings = config.learner
-    if settings.algorithm == "auto":
-        raise ConfigError('learner.algorithm = "auto" is not decided yet: pass the task through prepared() first')
-    tables = subtask_tables(
-        task.dfa,
-        task.decomposition,
-        pid,
-        task.rho,
-        gamma=settings.gamma,
-        shaping=settings.shaping,
-        error_penalty=_error_penalty(task),
-    )
-    count = config.sac.num_envs if settings.algorithm == "sac" else config.ppo.num_envs
-    env = make_task_env(config, count)
-    attempts = _attempts(task, tables, env, buffer, seed)
-    normalised = ~env.categorical if settings.normalise_observations == "on" else None
-    if settings.algorithm == "ppo":
-        actions = action_count(env.action_space, config.environment.id)
-        states = task.dfa.states
-        return PPOLearner(
-            pid, attempts, settings, config.ppo, high_level,
-            dfa_states=states, actions=actions, seed=seed, device=device, normalised=normalised,
-        )  # fmt: skip
-    bounds = action_bounds(env.action_space, config.environment.id)
-    from t4nmtd_dist.agents.sac.agent import SACLearner
-
-    delta = task.dfa.delta
-    return SACLearner(
-        pid, attempts, tables, delta, settings, config.sac, high_level,
-        bounds=bounds, seed=seed, peers=len(task.decomposition.pids) - 1, device=device, normalised=normalised,
-    )  # fmt: skip
-
-
-def _error_penalty(task: CompiledTask) -> float:
-    """Where success comes at the end of the episode only, a late error must be better than an early one."""
-    least = ACCEPTANCE_REWARD if task.config.acceptance == "end" else 0.0
-    return max(task.config.learner.error_penalty, least)
-
-
-def _attempt_steps(task: CompiledTask, tables: SubtaskTables) -> int:
-    """An attempt at what is only reached at the end of an episode must be able to last until then."""
-    steps = task.config.learner.attempt_steps
-    waits_for_end = task.config.acceptance == "end" and not tables.target[:, ~tables.accepting].any()
-    return max(steps, task.config.environment.horizon) if waits_for_end else steps
-
-
-def _attempts(
-    task: CompiledTask, tables: SubtaskTables, env: BatchedEnv, buffer: InitialStateBuffer, seed: int
-) -> Attempts:
-    settings = task.config.learner
-    return Attempts(
-        env,
-        SymbolReader(task.dfa, env.propositions),
-        tables,
-        task.dfa.delta,
-        buffer,
-        reset_q=task.dfa.initial if tables.available[task.dfa.initial] else None,
-        attempt_steps=_attempt_steps(task, tables),
-        hand_over_all=settings.hand_over == "changes",
-        rng=np.random.default_rng([seed, 0]),
+    agent = builder_module(config.learner.algorithm)
+    env = make_task_env(config, config.agent.num_envs)
+    reader = SymbolReader(task.dfa, env.propositions)
+    return agent.build(
+        AgentContext(
+            pid=pid,
+            task=task,
+            rollout=Rollout(env, reader, method, pid, buffer, np.random.default_rng([seed, 0])),
+            action_space=env.action_space,
+            method=method,
+            seed=seed,
+            device=device,
+            normalised=~env.categorical & (config.learner.normalise_observations == "on"),
+        )
     )

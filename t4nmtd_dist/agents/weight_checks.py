@@ -2,21 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass
-from itertools import pairwise
-from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from t4nmtd_dist.agents.common.normalisation import stored_normalisation
-from t4nmtd_dist.agents.sac.networks import StackShape, parameter_shapes
+from t4nmtd_dist.agents.modules import shapes_module
+from t4nmtd_dist.agents.weights import Arrays, Shapes
 from t4nmtd_dist.core.config import TaskConfig
 from t4nmtd_dist.core.errors import PolicyError
-
-Shapes = dict[str, tuple[int, ...]]
-Arrays = Mapping[str, NDArray[Any]]
 
 
 @dataclass(frozen=True)
@@ -25,7 +19,7 @@ class NetworkSizes:
 
     Attributes:
         observation: length of an observation.
-        action: number of actions (PPO), or numbers in an action (SAC).
+        action: number of discrete actions, or length of a continuous one.
     """
 
     observation: int
@@ -33,28 +27,13 @@ class NetworkSizes:
 
 
 def expected_shapes(config: TaskConfig, dfa_states: int, sizes: NetworkSizes) -> Shapes:
-    """Names and shapes of all parameters that a learner of a task has."""
-    inputs = sizes.observation + dfa_states
-    return (_sac_shapes if config.learner.algorithm == "sac" else _ppo_shapes)(config, inputs, sizes.action)
+    """Names and shapes of all parameters that a learner of a task has.
 
-
-def _ppo_shapes(config: TaskConfig, inputs: int, actions: int) -> Shapes:
-    shapes: Shapes = {}
-    for part, outputs in (("actor", actions), ("critic", 1)):
-        widths = [inputs, *config.learner.hidden, outputs]
-        for number, (width, out) in enumerate(pairwise(widths)):
-            shapes[f"{part}.{2 * number}.weight"] = (out, width)
-            shapes[f"{part}.{2 * number}.bias"] = (out,)
-    return shapes
-
-
-def _sac_shapes(config: TaskConfig, inputs: int, actions: int) -> Shapes:
-    hidden = config.learner.hidden
-    actor = StackShape(1, inputs, hidden, 2 * actions, layer_norm=False)
-    critics = StackShape(2, inputs + actions, hidden, 1, layer_norm=config.sac.layer_norm)
-    parts = {"actor": actor, "average": actor, "critics": critics, "targets": critics}
-    shapes = {f"{part}.{name}": size for part, shape in parts.items() for name, size in parameter_shapes(shape)}
-    return shapes | {"log_alpha": (1,), "average.low": (actions,), "average.high": (actions,)}
+    Raises:
+        ConfigError: if there is no such algorithm.
+    """
+    shapes = shapes_module(config.learner.algorithm)
+    return shapes.parameter_shapes(config, sizes.observation + dfa_states, sizes.action)
 
 
 def sizes_of(weights: Arrays, config: TaskConfig, dfa_states: int) -> NetworkSizes:
@@ -62,16 +41,13 @@ def sizes_of(weights: Arrays, config: TaskConfig, dfa_states: int) -> NetworkSiz
 
     Raises:
         PolicyError: if they have none.
+        ConfigError: if there is no such algorithm.
     """
-    first, last = ("actor.0.weight", "average.low") if config.learner.algorithm == "sac" else _ends_of_actor(config)
+    first, last = shapes_module(config.learner.algorithm).size_parameters(config.learner.hidden)
     shape, end = (weights[name].shape if name in weights else () for name in (first, last))
     if len(shape) < 2 or not end:
         raise PolicyError(f"weights do not fit: {first} and {last} are expected, and are missing or of another shape")
     return NetworkSizes(shape[1] - dfa_states, end[0])
-
-
-def _ends_of_actor(config: TaskConfig) -> tuple[str, str]:
-    return "actor.0.weight", f"actor.{2 * len(config.learner.hidden)}.bias"
 
 
 def check_weights(

@@ -1,8 +1,8 @@
-"""An automaton as an SVG picture, its transitions coloured by sub-task."""
+"""An automaton as an SVG picture, its transitions coloured by the groups that they are in, such as sub-tasks."""
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Collection, Iterable, Mapping
 from html import escape
 
 import numpy as np
@@ -11,7 +11,6 @@ from t4nmtd_dist.automata.cubes import Cube, Guard, guard_text
 from t4nmtd_dist.automata.dfa import DFA
 from t4nmtd_dist.automata.layout import RADIUS, Box, Curve, Points, free_directions, label_boxes, place, route
 from t4nmtd_dist.automata.reduction import Transition
-from t4nmtd_dist.method.decomposition import Decomposition
 
 BACKGROUND, INK, FAINT, CASING = "#faf9f5", "#22252a", "#8d9299", "#4a4e55"
 PALETTE = (
@@ -27,46 +26,50 @@ CHARACTER = 6.1
 MARGIN = 70.0
 
 
-def draw_svg(dfa: DFA, decomposition: Decomposition) -> str:
+Groups = Mapping[str, Collection[Transition]]
+
+
+def draw_svg(dfa: DFA, groups: Groups, colours: Mapping[str, str] | None = None) -> str:
     """Draw a task automaton.
 
-    A transition of several sub-tasks is striped in their colours; one of none is grey and dashed. Transitions
+    A transition in several groups is striped in their colours; one in none is grey and dashed. Transitions
     into error states are short stubs that end in a cross. Hovering shows the full guard.
 
     Args:
         dfa: the task automaton.
-        decomposition: its sub-tasks, from ``decompose``.
+        groups: transitions by name of their group, such as the sub-tasks of a decomposition.
+        colours: an SVG colour for every group; None for those of ``group_colours``.
 
     Returns:
         An SVG document with its own background, for light and dark pages alike.
     """
     drawn = [tau for tau in dfa.edges if tau[0] != tau[1] and not dfa.error & set(tau)]
     body = [q for q in range(dfa.states) if q not in dfa.error]
-    position = place(dfa.initial, decomposition.transitions or drawn, body)
+    grouped = sorted({tau for taus in groups.values() for tau in taus})
+    position = place(dfa.initial, grouped or drawn, body)
     curves = route(drawn, position)
-    colours = _colours(decomposition.pids)
+    colours = group_colours(groups) if colours is None else colours
     parts = [
-        *_transitions(dfa, decomposition, curves, colours),
+        *_transitions(dfa, groups, curves, colours),
         *(_loop_and_stub(dfa, q, position[q], curves.values()) for q in body),
         *(_state(dfa, q, position[q]) for q in body),
         *_labels(dfa, curves, position),
     ]
-    return _document(parts, _extent(curves, position), _legend(dfa, decomposition, colours))
+    return _document(parts, _extent(curves, position), _legend(dfa, groups, colours))
 
 
-def _colours(pids: Sequence[str]) -> dict[str, str]:
-    """A colour per sub-task: propositions named after a colour get that colour."""
-    free = [colour for colour in PALETTE if colour not in {NAMED.get(pid) for pid in pids}]
-    others = [pid for pid in pids if pid not in NAMED]
-    return {pid: NAMED[pid] if pid in NAMED else free[others.index(pid) % len(free)] for pid in pids}
+def group_colours(names: Iterable[str]) -> dict[str, str]:
+    """A colour for every name: that colour itself if the name is one, else the next one of ``PALETTE``."""
+    names = list(names)
+    free = [colour for colour in PALETTE if colour not in {NAMED.get(name) for name in names}]
+    others = [name for name in names if name not in NAMED]
+    return {name: NAMED[name] if name in NAMED else free[others.index(name) % len(free)] for name in names}
 
 
-def _transitions(
-    dfa: DFA, decomposition: Decomposition, curves: dict[Transition, Curve], colours: dict[str, str]
-) -> list[str]:
-    owners = {tau: [p for p, taus in decomposition.subtasks.items() if tau in taus] for tau in curves}
+def _transitions(dfa: DFA, groups: Groups, curves: dict[Transition, Curve], colours: Mapping[str, str]) -> list[str]:
+    owners = {tau: [name for name, taus in groups.items() if tau in taus] for tau in curves}
     order = sorted(curves, key=lambda tau: bool(owners[tau]))
-    return [_transition(dfa, tau, curves[tau], [colours[p] for p in owners[tau]]) for tau in order]
+    return [_transition(dfa, tau, curves[tau], [colours[name] for name in owners[tau]]) for tau in order]
 
 
 def _transition(dfa: DFA, tau: Transition, curve: Curve, colours: list[str]) -> str:
@@ -190,12 +193,12 @@ def _extent(curves: dict[Transition, Curve], position: dict[int, Points]) -> tup
     return points.min(axis=0) - MARGIN - (45, 0), points.max(axis=0) + MARGIN
 
 
-def _legend(dfa: DFA, decomposition: Decomposition, colours: dict[str, str]) -> list[tuple[str, str]]:
+def _legend(dfa: DFA, groups: Groups, colours: Mapping[str, str]) -> list[tuple[str, str]]:
     """(swatch, text) of every entry; swatches are drawn in a box 26 pixels wide around (13, 0)."""
     swatch = '<path d="M0 0 h26" stroke="{}" stroke-width="{}"/>'
     entries = [
-        (swatch.format(CASING, 4.6) + swatch.format(colours[pid], 3.2), f"{pid} ({len(taus)})")
-        for pid, taus in decomposition.subtasks.items()
+        (swatch.format(CASING, 4.6) + swatch.format(colours[name], 3.2), f"{name} ({len(taus)})")
+        for name, taus in groups.items()
     ]
     entries.append((f'<path d="M0 0 h26" stroke="{FAINT}" stroke-dasharray="4 4"/>', "in no sub-task"))
     if dfa.error:

@@ -14,7 +14,7 @@ from rich.text import Text
 
 from t4nmtd_dist.automata.acceptance import ACCEPTANCE_TEXT
 from t4nmtd_dist.core.errors import ConfigError
-from t4nmtd_dist.environments.diagnostics import Survey, survey
+from t4nmtd_dist.environments.diagnostics import Diagnosis, diagnose
 from t4nmtd_dist.method.compiled import CompiledTask, compile_task
 from t4nmtd_dist.tasks import load_task
 
@@ -30,7 +30,7 @@ def check(task: str, *, steps: int, seed: int, flags: Sequence[str], as_json: bo
     if steps < 1:
         raise ConfigError(f"--steps {steps}: expected at least one")
     compiled = compile_task(load_task(task, flags=flags))
-    found = survey(compiled, steps=steps, seed=seed)
+    found = diagnose(compiled, steps=steps, seed=seed)
     if as_json:
         print(json.dumps(findings(compiled, found), indent=1))
     else:
@@ -38,7 +38,7 @@ def check(task: str, *, steps: int, seed: int, flags: Sequence[str], as_json: bo
     return UNUSABLE if found.problems else USABLE
 
 
-def findings(task: CompiledTask, found: Survey) -> dict[str, Any]:
+def findings(task: CompiledTask, found: Diagnosis) -> dict[str, Any]:
     """All that ``check`` shows, ready for JSON."""
     return {
         "task": task.config.name,
@@ -54,7 +54,7 @@ def findings(task: CompiledTask, found: Survey) -> dict[str, Any]:
         "algorithm": found.learner.algorithm,
         "snapshots": {
             "adapter": found.snapshots.adapter,
-            "bytes": found.snapshots.room,
+            "bytes": found.snapshots.snapshot_bytes,
             "inexact": dict(found.snapshots.failures),
         },
         "acceptance": task.config.acceptance,
@@ -71,7 +71,7 @@ def findings(task: CompiledTask, found: Survey) -> dict[str, Any]:
     }
 
 
-def _print(console: Console, task: CompiledTask, found: Survey) -> None:
+def _print(console: Console, task: CompiledTask, found: Diagnosis) -> None:
     console.print(Text(f"{task.config.name}: {task.config.title}".removesuffix(": "), style="bold"))
     console.print(_facts(task, found))
     console.print(_labels(task, found))
@@ -85,7 +85,7 @@ def _print(console: Console, task: CompiledTask, found: Survey) -> None:
         console.print(Text("usable: nothing stands against training", style="green"))
 
 
-def _facts(task: CompiledTask, found: Survey) -> Table:
+def _facts(task: CompiledTask, found: Diagnosis) -> Table:
     choice = found.snapshots
     endings = ", ".join(f"{name} {count}" for name, count in sorted(found.endings.items())) or "none yet"
     play = f"{found.steps} steps at {found.steps_per_s:,.0f} a second, {found.episodes} episodes"
@@ -96,7 +96,8 @@ def _facts(task: CompiledTask, found: Survey) -> Table:
         "observations": f"{found.observation_space}: {_numbers(found)}",
         "actions": found.action_space,
         "algorithm": found.learner.algorithm + (", which these actions call for" if chosen else ""),
-        "snapshots": f"restore exactly by {choice.adapter!r}" + (f", {choice.room} bytes" if choice.room else ""),
+        "snapshots": f"restore exactly by {choice.adapter!r}"
+        + (f", {choice.snapshot_bytes} bytes" if choice.snapshot_bytes else ""),
         **{f"  not by {adapter!r}": reason for adapter, reason in choice.failures.items()},
         "automaton": f"{task.dfa.states} states, {len(task.dfa.edges)} transitions",
         "acceptance": ACCEPTANCE_TEXT[task.config.acceptance],
@@ -111,7 +112,7 @@ def _facts(task: CompiledTask, found: Survey) -> Table:
     return table
 
 
-def _numbers(found: Survey) -> str:
+def _numbers(found: Diagnosis) -> str:
     """How many numbers learners see, and as what."""
     one_hot = sum(part.size for part in found.observations.parts if part.one_hot)
     size = sum(part.size for part in found.observations.parts)
@@ -123,7 +124,7 @@ def _numbers(found: Survey) -> str:
     return ", ".join(told)
 
 
-def _labels(task: CompiledTask, found: Survey) -> Table:
+def _labels(task: CompiledTask, found: Diagnosis) -> Table:
     table = Table("proposition", "in the formula", "held on", "of steps", box=box.SIMPLE_HEAD)
     for name in found.propositions:
         times = found.true_steps[name]

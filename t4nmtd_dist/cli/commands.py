@@ -8,40 +8,49 @@ from typing import Annotated, Literal
 
 import tyro
 
-from t4nmtd_dist.cli.completion import Completion
 from t4nmtd_dist.cli.key_commands import Keys
-from t4nmtd_dist.cli.options import RunOptions
+from t4nmtd_dist.cli.options import RunFlags
 from t4nmtd_dist.core.action_modes import ActionMode
 from t4nmtd_dist.core.devices import Device
 from t4nmtd_dist.wire.endpoints import CONTROL_PORT, DEFAULT_CONTROL, complete_endpoint
 
 
 @dataclass(frozen=True)
-class Train(RunOptions):
+class Train(RunFlags):
     """Train a task on this machine until it is solved or the budget is spent (exit code 0 or 3)."""
 
     no_dashboard: bool = False
     """Show nothing until the end."""
     serial: bool = False
     """One process, in lock-step, bit-reproducible from the seed (on the CPU); for debugging."""
+    launcher: str | None = None
+    """Where the processes run: `local`, on this machine, or another launcher that is registered; by default local.
+    `serial` is --serial."""
     keys: Path | None = None
     """Folder made by `t4nmtd keys new`: keeps other users of this machine out; not needed otherwise."""
     workers: int | None = None
-    """How many processes learn, with the sub-tasks dealt to them in turn; by default one per sub-task."""
+    """How many processes learn, with the sub-tasks divided among them in turn; by default one per sub-task."""
     device: Device = "cpu"
     """Where they train; with networks as small as these the CPU is expected to be faster."""
 
     def run(self) -> int:
         """Train."""
-        from t4nmtd_dist.cli.train import train, train_serial
+        from t4nmtd_dist.cli.train import train
         from t4nmtd_dist.core.errors import ConfigError
 
-        if not self.serial:
-            shown = not self.no_dashboard
-            return train(self, dashboard=shown, keys=self.keys, workers=self.workers, device=self.device)
-        if self.workers is not None:
+        launcher = self.launcher or ("serial" if self.serial else "local")
+        if self.serial and launcher != "serial":
+            raise ConfigError(f"--serial and --launcher {launcher} contradict each other: give one of them")
+        if launcher == "serial" and self.workers is not None:
             raise ConfigError("--serial runs everything in one process, so it takes no --workers")
-        return train_serial(self, device=self.device)
+        return train(
+            self,
+            launcher=launcher,
+            dashboard=not self.no_dashboard,
+            keys=self.keys,
+            workers=self.workers,
+            device=self.device,
+        )
 
 
 @dataclass(frozen=True)
@@ -94,6 +103,8 @@ class Inspect:
     """Print every state and transition, however many there are."""
     svg: Path | None = None
     """Also draw the automaton into this file."""
+    seed: int = 0
+    """Seed of the run, which decides how decomposition.mode=random deals the transitions."""
     translator: Literal["auto", "mona", "python"] = "auto"
     """How the formula becomes an automaton."""
     set: Annotated[list[str], tyro.conf.UseAppendAction, tyro.conf.arg(metavar="KEY=VALUE")] = field(
@@ -125,7 +136,32 @@ class Inspect:
             as_json=self.as_json,
             svg=self.svg,
             summary=summary,
+            seed=self.seed,
         )
+        return 0
+
+
+@dataclass(frozen=True)
+class Config:
+    """Print the settings of a task as TOML, each with where it comes from; --config reads them back."""
+
+    task: str
+    """Name of a task, or the path of a task file."""
+    config: Annotated[list[Path], tyro.conf.UseAppendAction] = field(default_factory=list)
+    """TOML file laid over the task file; may be repeated."""
+    set: Annotated[list[str], tyro.conf.UseAppendAction, tyro.conf.arg(metavar="KEY=VALUE")] = field(
+        default_factory=list
+    )
+    """One setting, such as learner.gamma=0.98; may be repeated."""
+
+    def run(self) -> int:
+        """Print."""
+        from t4nmtd_dist.cli.show_config import settings_text
+        from t4nmtd_dist.tasks import from_layers, task_file
+        from t4nmtd_dist.tasks.layers import setting_layers
+
+        layers = setting_layers(task_file(self.task), self.config, self.set)
+        print(settings_text(from_layers(self.task, layers), layers), end="")
         return 0
 
 
@@ -295,4 +331,41 @@ class Doctor:
         return examine(complete_endpoint(self.connect, CONTROL_PORT), self.keys, self.wait)
 
 
-Command = Train | Evaluate | Record | Plot | Inspect | Check | Tasks | Dashboard | Keys | Status | Doctor | Completion
+@dataclass(frozen=True)
+class Completion:
+    """Print a script that teaches a shell to complete commands; start a new shell after installing it.
+
+    bash: t4nmtd completion bash > ~/.local/share/bash-completion/completions/t4nmtd
+
+    zsh: t4nmtd completion zsh > ~/.zfunc/_t4nmtd (with fpath+=~/.zfunc before compinit in ~/.zshrc)
+
+    fish: t4nmtd completion fish > ~/.config/fish/completions/t4nmtd.fish
+    """
+
+    shell: Annotated[Literal["bash", "zsh", "fish"], tyro.conf.Positional]
+    """The shell."""
+    program: Literal["t4nmtd", "t4nmtd-coordinator", "t4nmtd-worker"] = "t4nmtd"
+    """The command to be completed; name the file after it."""
+
+    def run(self) -> int:
+        """Print."""
+        from t4nmtd_dist.cli.completion import print_completion
+
+        return print_completion(self.shell, self.program, verbs=Command)
+
+
+Command = (
+    Train
+    | Evaluate
+    | Record
+    | Plot
+    | Inspect
+    | Config
+    | Check
+    | Tasks
+    | Dashboard
+    | Keys
+    | Status
+    | Doctor
+    | Completion
+)

@@ -1,38 +1,28 @@
-"""``t4nmtd completion``: scripts with which a shell completes verbs and options."""
+"""Scripts with which a shell completes verbs and options of the programs."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import Annotated, Any, Literal
+from typing import Any
 
 import tyro
 
-Program = Literal["t4nmtd", "t4nmtd-coordinator", "t4nmtd-worker"]
 
+def print_completion(shell: str, program: str, *, verbs: Any) -> int:
+    """Print the script of a program for a shell.
 
-@dataclass(frozen=True)
-class Completion:
-    """Print a script that teaches a shell to complete commands; start a new shell after installing it.
+    Args:
+        shell: ``bash``, ``zsh`` or ``fish``.
+        program: ``t4nmtd``, ``t4nmtd-coordinator`` or ``t4nmtd-worker``.
+        verbs: what the command line of ``t4nmtd`` is read into.
 
-    bash: t4nmtd completion bash > ~/.local/share/bash-completion/completions/t4nmtd
-
-    zsh: t4nmtd completion zsh > ~/.zfunc/_t4nmtd (with fpath+=~/.zfunc before compinit in ~/.zshrc)
-
-    fish: t4nmtd completion fish > ~/.config/fish/completions/t4nmtd.fish
+    Returns:
+        Exit code.
     """
-
-    shell: Annotated[Literal["bash", "zsh", "fish"], tyro.conf.Positional]
-    """The shell."""
-    program: Program = "t4nmtd"
-    """The command to be completed; name the file after it."""
-
-    def run(self) -> int:
-        """Print."""
-        tyro.cli(_command(self.program), prog=self.program, args=["--tyro-print-completion", self.shell])
-        return 0
+    tyro.cli(_command(program, verbs), prog=program, args=["--tyro-print-completion", shell])
+    return 0
 
 
-def _command(program: Program) -> Any:
+def _command(program: str, verbs: Any) -> Any:
     """What a program's command line is read into."""
     if program == "t4nmtd-coordinator":
         from t4nmtd_dist.cli.coordinator import CoordinatorCommand
@@ -42,6 +32,4 @@ def _command(program: Program) -> Any:
         from t4nmtd_dist.cli.worker import WorkerCommand
 
         return WorkerCommand
-    from t4nmtd_dist.cli.commands import Command
-
-    return Command
+    return verbs

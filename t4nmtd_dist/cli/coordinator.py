@@ -9,14 +9,14 @@ from pathlib import Path
 from types import FrameType
 
 from t4nmtd_dist.cli.entry import parse
-from t4nmtd_dist.cli.options import RunOptions
+from t4nmtd_dist.cli.options import RunFlags
 from t4nmtd_dist.wire.endpoints import DEFAULT_CONTROL, DEFAULT_STATE
 
 EXIT_CODES = {"solved": 0, "budget spent": 3, "stopped": 130}
 
 
 @dataclass(frozen=True)
-class CoordinatorCommand(RunOptions):
+class CoordinatorCommand(RunFlags):
     """Coordinate the learners of a task until it is solved or the budget is spent."""
 
     bind: str = DEFAULT_CONTROL
@@ -58,60 +58,47 @@ def run(command: CoordinatorCommand) -> int:
 
 def _serve(command: CoordinatorCommand) -> int:
     from coordinator.endpoints import Access
-    from coordinator.service import CoordinatorService
     from coordinator.snapshot import summary
-    from coordinator.state import CoordinatorState, RunSettings
     from coordinator.ui.viewer import BackgroundViewer
-    from t4nmtd_dist.cli.plan import plan_run
     from t4nmtd_dist.core.errors import ConfigError
-    from t4nmtd_dist.environments.cautions import cautions
-    from t4nmtd_dist.environments.preparation import prepared
-    from t4nmtd_dist.method.compiled import compile_task
-    from t4nmtd_dist.process.signals import hear_ends
+    from t4nmtd_dist.launch.build import ready_task
+    from t4nmtd_dist.launch.roles import coordinator_service
+    from t4nmtd_dist.process.signals import install_signal_handlers
+    from t4nmtd_dist.runs.planning import plan_run
     from t4nmtd_dist.runs.report import outcome_text
     from t4nmtd_dist.wire.addresses import here
-    from t4nmtd_dist.wire.sockets import new_context
-    from t4nmtd_dist.wire.task_size import check_task_size
+    from t4nmtd_dist.wire.zmq_types import new_context
 
     if not command.lease > 0:
         raise ConfigError(f"--lease {command.lease}: expected seconds above 0")
-    plan = plan_run(command)
+    plan = plan_run(command, warn=_warn)
     if plan.solved:
         print(plan.solved)
         return EXIT_CODES["solved"]
-    config = plan.config
-    task = prepared(compile_task(config, translator=command.translator, seed=plan.seed))
-    check_task_size(task)
-    for warning in cautions(task):
-        print(f"warning: {warning}", file=sys.stderr)
-    budget, directory, run_id = config.max_interactions, plan.directory, plan.identity.run_id
-    state = CoordinatorState(task, RunSettings(plan.seed, budget, str(directory), command.lease, run_id))
+    task = ready_task(plan, command, _warn)
     access = Access(command.bind, command.publish, command.keys, command.insecure)
-    service = CoordinatorService(
-        state,
-        directory,
-        access,
-        restart=command.restart,
-        resume=plan.resumes,
-        checkpoint_every_s=command.checkpoint_every,
-        tensorboard=command.tensorboard,
-        by_hand=command.lifeline is None,
-    )
+    by_hand = command.lifeline is None
+    service = coordinator_service(plan, task, command, access, lease_s=command.lease, by_hand=by_hand)
     if service.commands is not None and not command.no_dashboard:
-        print(service.commands.welcome(config.name), flush=True)
+        print(service.commands.welcome(plan.config.name), flush=True)
 
     def stop(number: int, _: FrameType | None) -> None:
         service.interrupt(signal.Signals(number).name)
 
-    hear_ends(stop)
+    install_signal_handlers(stop)
     viewer = None if command.no_dashboard else BackgroundViewer(new_context(), here(service.publish), service.own_keys)
     try:
         service.serve()
     finally:
         if viewer is not None:
             viewer.close()
-    print(f"{config.name} seed {plan.seed}: {outcome_text(summary(state), directory)}; run directory {directory}")
-    return EXIT_CODES[state.outcome or "stopped"]
+    told = outcome_text(summary(service.state), plan.directory)
+    print(f"{plan.config.name} seed {plan.seed}: {told}; run directory {plan.directory}")
+    return EXIT_CODES[service.state.outcome or "stopped"]
+
+
+def _warn(text: str) -> None:
+    print(f"warning: {text}", file=sys.stderr)
 
 
 if __name__ == "__main__":

@@ -9,7 +9,8 @@ from coordinator.ui.viewer import watch
 from t4nmtd_dist.core.errors import RunError
 from t4nmtd_dist.wire.auth.keys import load_client
 from t4nmtd_dist.wire.messages import DashboardState
-from t4nmtd_dist.wire.sockets import new_context, receive, subscribe
+from t4nmtd_dist.wire.sockets import receive, subscribe
+from t4nmtd_dist.wire.zmq_types import new_context
 
 
 def follow(endpoint: str, wait_s: float, *, keys: Path | None = None) -> int:

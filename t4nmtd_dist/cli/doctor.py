@@ -17,8 +17,9 @@ from t4nmtd_dist.wire.addresses import split_endpoint
 from t4nmtd_dist.wire.auth.keys import ClientKeys, load_client
 from t4nmtd_dist.wire.endpoints import CONTROL_PORT
 from t4nmtd_dist.wire.messages import PROTOCOL_VERSION, DashboardState, Status
-from t4nmtd_dist.wire.sockets import Context, new_context, receive, subscribe
+from t4nmtd_dist.wire.sockets import receive, subscribe
 from t4nmtd_dist.wire.status_client import Inquiry
+from t4nmtd_dist.wire.zmq_types import Context, new_context
 from t4nmtd_dist.wire.zmtp_probe import Greeting, read_greeting
 
 Verdict = Literal["ok", "warning", "FAILED"]

@@ -12,7 +12,7 @@ from t4nmtd_dist.core.action_modes import ActionMode
 from t4nmtd_dist.core.errors import ConfigError
 from t4nmtd_dist.environments.trust import require_trust
 from t4nmtd_dist.policy.evaluation import EvaluationResult, Evaluator
-from t4nmtd_dist.policy.global_policy import load
+from t4nmtd_dist.policy.loading import load
 
 EPISODES_AT_ONCE = 50
 

@@ -22,13 +22,9 @@ from t4nmtd_dist.automata.formula import parse
 from t4nmtd_dist.automata.reduction import ExclusiveGroups, reduce_automaton
 from t4nmtd_dist.automata.translate import Translator, translate
 from t4nmtd_dist.cli.inspect_summary import left_out_lines, summary_lines
-from t4nmtd_dist.core.config import (
-    TaskConfig,
-    merge,
-    settings_from_flags,
-    task_config,
-)
+from t4nmtd_dist.core.config import TaskConfig, task_config
 from t4nmtd_dist.core.errors import ConfigError
+from t4nmtd_dist.core.setting_sources import merge, settings_from_flags
 from t4nmtd_dist.method.compiled import decomposed
 from t4nmtd_dist.method.decomposition import Decomposition
 from t4nmtd_dist.method.potential import DistanceMode, distances, potentials
@@ -69,6 +65,7 @@ def run_inspect(
     as_json: bool = False,
     svg: Path | None = None,
     summary: bool | None = None,
+    seed: int = 0,
 ) -> None:
     """Translate a task's formula and show what becomes of it.
 
@@ -79,6 +76,7 @@ def run_inspect(
         as_json: print the inspection as one JSON object in place of the page.
         svg: write a picture of the automaton to this file.
         summary: print the summary in place of the page; None for automata of more than 60 states.
+        seed: of the random decomposition, as of a run; the other modes do not use it.
 
     Raises:
         T4NMTDError: if the formula, the settings or the file cannot be used, or the time is up.
@@ -87,7 +85,7 @@ def run_inspect(
     deadline = Deadline.after(settings.time_limit)
     formula = translate(task.formula, propositions=task.propositions, translator=translator, deadline=deadline)
     dfa, acceptance = task_automaton(formula, task.acceptance, task.exclusive)
-    decomposition = decomposed(task, dfa, deadline=deadline)
+    decomposition = decomposed(task, dfa, seed=seed, deadline=deadline)
     found = inspection(
         dfa,
         exclusive=task.exclusive,
@@ -98,7 +96,7 @@ def run_inspect(
     )
     if svg is not None:
         _check_drawable(dfa)
-        _write(svg, draw_svg(dfa, decomposition))
+        _write(svg, draw_svg(dfa, decomposition.subtasks))
     if as_json:
         console.out(json.dumps(found, indent=1), highlight=False)
         return

@@ -31,7 +31,7 @@ def record(path: Path, out: Path, *, episodes: int, seed: int, fps: int | None, 
     if episodes < 1 or (fps is not None and fps < 1):
         raise ConfigError(f"expected at least one episode and --fps of at least 1; got {episodes} and {fps}")
     from t4nmtd_dist.environments.trust import require_trust
-    from t4nmtd_dist.policy.global_policy import load
+    from t4nmtd_dist.policy.loading import load
     from t4nmtd_dist.policy.recording import open_for_recording
 
     policy = load(path)

@@ -14,8 +14,8 @@ from t4nmtd_dist.runs.report import policy_text, row_text, solved_text
 from t4nmtd_dist.runs.running import RunOverError
 from t4nmtd_dist.wire.auth.keys import load_client
 from t4nmtd_dist.wire.messages import LearnerRow, Status
-from t4nmtd_dist.wire.sockets import new_context
 from t4nmtd_dist.wire.status_client import ask_status
+from t4nmtd_dist.wire.zmq_types import new_context
 
 HEALTHY, SICK = 0, 1
 
@@ -89,4 +89,4 @@ def _result(status: Status) -> Iterator[str]:
 def _learner(row: LearnerRow) -> str:
     age = "" if row.heartbeat_age_s is None else f", heard {row.heartbeat_age_s:.1f} s ago"
     hint = "".join(f"\n  {line}" for line in row.hint.splitlines())
-    return f"{row.pid}: {row.phase}, {row.worker or 'no worker'}, {row.interactions} interactions{age}{hint}"
+    return f"{row.pid}: {row.phase}, {row.worker or 'no worker'}, {row.total.interactions} interactions{age}{hint}"

@@ -90,22 +90,17 @@ def run(command: WorkerCommand) -> int:
 
 
 def _work(command: WorkerCommand) -> int:
-    from workers.worker import Worker, WorkerOptions, default_instance
+    from workers.options import CheckpointOptions, Connection, CriticAddress, WorkerOptions, default_instance
+    from workers.worker import Worker
 
+    kept = None if command.checkpoints is None else CheckpointOptions(command.checkpoints, command.checkpoint_every)
     options = WorkerOptions(
-        coordinator=command.connect,
+        Connection(command.connect, command.wait, command.keys, command.insecure, command.trust),
         role="evaluator" if command.evaluate else "learner",
         pids=tuple(command.pid),
         instance=command.instance or default_instance(),
-        wait_s=command.wait,
-        critic_host=command.host,
-        critic_port=command.critic_port,
-        advertise=command.advertise,
-        keys=command.keys,
-        insecure=command.insecure,
-        trust=command.trust,
-        checkpoints=command.checkpoints,
-        checkpoint_every_s=command.checkpoint_every,
+        critic=CriticAddress(command.host, command.critic_port, command.advertise),
+        checkpoints=kept,
         device=command.device,
     )
     return Worker(options).run()

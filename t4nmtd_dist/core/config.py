@@ -1,29 +1,35 @@
-"""Settings of a task: frozen dataclasses with the defaults, and how TOML files and flags change them.
+"""Settings of a task: frozen dataclasses with the defaults, and how they are made from plain data.
 
-Precedence: the defaults here < the task file < ``--config`` files < ``--set`` flags. An unknown key is an error
-that names the nearest known one.
+Precedence: the defaults here < those of the chosen agent < the task file < ``--config`` files < ``--set`` flags
+(``core.setting_sources``). An unknown key is an error that names the nearest known one; a key of an earlier version is
+an error that names what to use instead.
 """
 
 from __future__ import annotations
 
 import dataclasses
 import difflib
-import tomllib
-import typing
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, field
-from pathlib import Path
 from typing import Any, Literal
 
-import msgspec
-
 from t4nmtd_dist.core.action_modes import EvaluationActions
+from t4nmtd_dist.core.agent_settings import agent_settings, default_sections
 from t4nmtd_dist.core.errors import ConfigError
-from t4nmtd_dist.core.setting_ranges import check_ranges
+from t4nmtd_dist.core.registry import AGENTS, METHODS
+from t4nmtd_dist.core.sections import check_ranges, hints, plain, read_section
+from t4nmtd_dist.core.setting_sources import merge
+from t4nmtd_dist.core.setting_types import Count, CountOrZero, NotNegative, Positive, PositiveShare, Share, Widths
 
 Shaping = Literal["paper", "potential", "subtask"]
 AcceptanceSetting = Literal["auto", "first", "end"]
 InterventionMode = Literal["query", "replica", "local", "off"]
+
+FORMER_KEYS: Mapping[str, str] = {}
+"""Keys of earlier versions outside the agents' sections, and what to use instead."""
+
+RESERVED_NAMES = {"evaluator", "evaluations"}
+"""Names of processes and files of every run, which no proposition can have."""
 
 
 @dataclass(frozen=True)
@@ -43,12 +49,12 @@ class EnvironmentConfig:
     """
 
     id: str
-    horizon: int
+    horizon: Count
     options: dict[str, Any] = field(default_factory=dict)
     labels: str = ""
     path: str | tuple[str, ...] = ""
     snapshots: Literal["auto", "own", "mujoco", "attributes", "replay"] = "auto"
-    snapshot_bytes: int = 0
+    snapshot_bytes: CountOrZero = 0
     leave_out: tuple[str, ...] = ()
 
     @property
@@ -75,15 +81,15 @@ class DecompositionConfig:
     prune: bool = True
     keep: Literal["helpful", "all"] = "helpful"
     dist: Literal["shortest", "mean"] = "shortest"
-    time_limit: float = 20.0
+    time_limit: Positive = 20.0
 
 
 @dataclass(frozen=True)
 class HighLevelConfig:
     """Q(q, T) and E(Q, q): step size, exploration, and whether a decision's length is discounted."""
 
-    alpha: float = 0.1
-    epsilon: float = 0.1
+    alpha: Share = 0.1
+    epsilon: Share = 0.1
     smdp_discount: bool = False
 
 
@@ -92,7 +98,11 @@ class LearnerConfig:
     """What all learners share.
 
     Attributes:
-        algorithm: ``ppo`` (discrete actions), ``sac`` (continuous actions), or ``auto``: by the action space.
+        method: how the task is decomposed and its sub-tasks are joined, a name in ``core.registry.METHODS``:
+            ``t4nmtd``, or ``random``, which deals the same transitions to as many sub-tasks from the run's seed
+            (experiment 2).
+        algorithm: name of an agent, such as ``ppo`` (discrete actions) or ``sac`` (continuous actions); ``auto``
+            chooses by the action space.
         gamma: discount per step, also the one inside the shaped reward.
         shaping: ``potential`` (potential difference on every step), ``paper`` (only when a target is reached),
             ``subtask`` (10 for a target, 100 for acceptance); docs/decisions/006 and 014 have the measurements.
@@ -111,99 +121,18 @@ class LearnerConfig:
             (``environments.decisions``), it counts as ``off``.
     """
 
-    algorithm: Literal["auto", "ppo", "sac"] = "auto"
-    gamma: float = 0.99
+    method: str = "t4nmtd"
+    algorithm: str = "auto"
+    gamma: Share = 0.99
     shaping: Shaping = "potential"
-    error_penalty: float = 0.0
-    reward_scale: float = 0.01
+    error_penalty: NotNegative = 0.0
+    reward_scale: Positive = 0.01
     intervention: InterventionMode = "query"
-    attempt_steps: int = 300
-    start_capacity: int = 200
+    attempt_steps: Count = 300
+    start_capacity: Count = 200
     hand_over: Literal["targets", "changes"] = "changes"
-    hidden: tuple[int, ...] = (64, 64)
+    hidden: Widths = (64, 64)
     normalise_observations: Literal["auto", "on", "off"] = "auto"
-
-
-@dataclass(frozen=True)
-class PPOConfig:
-    """PPO (Schulman et al., 2017); Stable-Baselines3's defaults where no reason speaks against them.
-
-    Attributes:
-        num_envs: copies of the environment stepped together by one learner.
-        rollout: steps of each copy between updates.
-        epochs: passes over the roll-out.
-        minibatch: rows of one gradient step.
-        entropy_coefficient: weight of the entropy bonus of a learner without success.
-        entropy_coefficient_successful: weight once every attempt succeeds; linear in the recent success between.
-        gae_lambda: lambda of generalised advantage estimation.
-        advantage_floor: advantages are divided by their standard deviation, but by no less than this, so that the
-            noise of a roll-out without reward is not blown up into a policy.
-    """
-
-    num_envs: int = 16
-    rollout: int = 64
-    epochs: int = 6
-    minibatch: int = 256
-    learning_rate: float = 1e-3
-    clip: float = 0.2
-    entropy_coefficient: float = 0.15
-    entropy_coefficient_successful: float = 0.005
-    value_coefficient: float = 0.5
-    gae_lambda: float = 0.95
-    max_grad_norm: float = 0.5
-    advantage_floor: float = 0.1
-
-
-@dataclass(frozen=True)
-class SACConfig:
-    """SAC (Haarnoja et al., 2018); Stable-Baselines3's defaults where no reason speaks against them.
-
-    Attributes:
-        num_envs: copies of the environment stepped together by one learner.
-        steps_per_iteration: steps of each copy between two messages to the coordinator.
-        replay_rows: experiences kept.
-        learning_starts: experiences before the first update.
-        batch: rows of one update.
-        updates_per_step: updates per interaction.
-        n_step: longest return, cut at every change of the DFA state.
-        relabel_share: share of a batch that is read in a DFA state drawn from all those in which the sub-task has a
-            transition, often the row's own among them (exact relabelling).
-        peer_share: share of a batch from the experience of peers, read as the sub-task's own (docs/decisions/016).
-        success_share: share of a batch from the last steps before past successes.
-        wave_share: share of the attempts of a learner without success that are driven by sinusoids.
-        hold_share: share of the attempts of a learner without success in which random actions interrupt the policy,
-            each held for some steps.
-        learning_rate_decay: share of the learning rate that is gone once every attempt succeeds; it goes with the
-            square of the share of attempts that do.
-        initial_alpha: entropy coefficient at the start, tuned from there; 0 for the one with which acting at random
-            for ever is worth as much as one target.
-        alpha_floor: share of ``initial_alpha`` below which that of a learner without success does not fall; it goes
-            to 0 with the square of the share of attempts that fail.
-        tau: step of the target networks.
-        actor_average: share of the actor that enters, at each of its updates, the running average of its weights
-            that is evaluated and exported; 1 for the actor as it is (docs/decisions/015).
-        layer_norm: layer normalisation in the critics.
-    """
-
-    num_envs: int = 4
-    steps_per_iteration: int = 10
-    replay_rows: int = 300_000
-    learning_starts: int = 1000
-    batch: int = 256
-    updates_per_step: float = 0.5
-    n_step: int = 5
-    relabel_share: float = 0.5
-    peer_share: float = 0.5
-    success_share: float = 0.25
-    wave_share: float = 0.25
-    hold_share: float = 0.25
-    learning_rate: float = 3e-4
-    learning_rate_decay: float = 0.0
-    initial_alpha: float = 0.0
-    alpha_floor: float = 1.0
-    tau: float = 0.005
-    actor_average: float = 0.005
-    layer_norm: bool = True
 
 
 @dataclass(frozen=True)
@@ -220,10 +149,10 @@ class EvaluationConfig:
             evaluations of a row are of one mode.
     """
 
-    episodes: int = 20
-    every: int = 5000
-    in_a_row: int = 5
-    success: float = 1.0
+    episodes: Count = 20
+    every: Count = 5000
+    in_a_row: Count = 5
+    success: PositiveShare = 1.0
     actions: EvaluationActions = "best"
 
 
@@ -234,6 +163,7 @@ class TaskConfig:
     Attributes:
         acceptance: ``first`` ends an episode at the first accepting state, ``end`` asks what the whole episode
             satisfies (docs/acceptance.md); ``auto`` decides by the automaton, and a compiled task has one of the two.
+        agents: settings of every registered agent by name; in a task file, the section ``[<name>]``.
         learner_given: keys of the section ``[learner]`` that were given. It is no setting, and not part of ``to_dict``:
             an algorithm that is chosen later brings its own defaults for all others.
     """
@@ -245,126 +175,129 @@ class TaskConfig:
     title: str = ""
     exclusive: tuple[tuple[str, ...], ...] = ()
     acceptance: AcceptanceSetting = "auto"
-    max_interactions: int = 5_000_000
+    max_interactions: Count = 5_000_000
     decomposition: DecompositionConfig = DecompositionConfig()
     high_level: HighLevelConfig = HighLevelConfig()
     learner: LearnerConfig = LearnerConfig()
-    ppo: PPOConfig = PPOConfig()
-    sac: SACConfig = SACConfig()
+    agents: Mapping[str, Any] = field(default_factory=default_sections)
     evaluation: EvaluationConfig = EvaluationConfig()
     learner_given: frozenset[str] = field(default=frozenset(), compare=False, repr=False)
 
     def __post_init__(self) -> None:
         check_ranges(self)
+        METHODS.check(self.learner.method, "learner.method")
+        check_algorithm(self.learner.algorithm)
+        for name, section in self.agents.items():
+            check_ranges(section, name)
+            agent_settings(name).check(section, self.learner)
+        _check_groups(self)
+        _check_names(self)
+
+    @property
+    def agent(self) -> Any:
+        """Settings of the chosen algorithm: an instance of its agent's ``CONFIG``.
+
+        Raises:
+            ConfigError: if the algorithm is not decided yet.
+        """
+        if self.learner.algorithm == "auto":
+            raise ConfigError('learner.algorithm = "auto" is not decided yet: pass the task through prepared() first')
+        return self.agents[self.learner.algorithm]
 
     def to_dict(self) -> dict[str, Any]:
         """Plain data that ``task_config`` reads back; fit for TOML and the wire."""
-        plain: dict[str, Any] = _plain(self)
-        del plain["learner_given"]
-        return plain
+        whole: dict[str, Any] = plain(self)
+        del whole["learner_given"]
+        agents: dict[str, Any] = whole.pop("agents")
+        return whole | agents
 
 
-def _plain(value: Any) -> Any:
-    """Builtins of a setting; msgspec itself leaves out what a section has by default."""
-    if dataclasses.is_dataclass(value):
-        return {each.name: _plain(getattr(value, each.name)) for each in dataclasses.fields(value)}
-    return msgspec.to_builtins(value)
+def check_algorithm(name: str) -> None:
+    """Check the value of ``learner.algorithm``.
+
+    Raises:
+        ConfigError: if it is neither ``auto`` nor the name of an agent.
+    """
+    if name != "auto":
+        AGENTS.check(name, "learner.algorithm")
 
 
-ALGORITHM_DEFAULTS: Mapping[str, Mapping[str, Any]] = {
-    "sac": {
-        "learner": {
-            "gamma": 0.98,
-            "shaping": "subtask",
-            "error_penalty": 10.0,
-            "reward_scale": 0.1,
-            "hidden": [128, 128],
-        }
-    }
-}
-"""Where an algorithm's defaults differ from those of the dataclasses (docs/decisions/014)."""
+def _check_groups(task: TaskConfig) -> None:
+    for group in task.exclusive:
+        strange = [name for name in group if name not in task.propositions]
+        if strange:
+            raise ConfigError(f"exclusive names {strange[0]!r}; declared propositions: {', '.join(task.propositions)}")
 
 
-def _with_algorithm_defaults(data: Mapping[str, Any]) -> dict[str, Any]:
-    learner = data.get("learner")
-    algorithm = learner.get("algorithm") if isinstance(learner, Mapping) else None
-    return merge(ALGORITHM_DEFAULTS.get(algorithm, {}) if isinstance(algorithm, str) else {}, data)
-
-
-def _learner_given(data: Mapping[str, Any]) -> list[str]:
-    learner = data.get("learner")
-    return list(learner) if isinstance(learner, Mapping) else []
+def _check_names(task: TaskConfig) -> None:
+    taken = sorted(RESERVED_NAMES & {name.casefold() for name in task.propositions})
+    if taken:
+        raise ConfigError(
+            f"a proposition is called {taken[0]!r}, as a process or a file of every run is; give it another name"
+        )
 
 
 def task_config(data: Mapping[str, Any], *, source: str = "task") -> TaskConfig:
     """Build a TaskConfig from plain data.
 
+    Args:
+        data: nested mappings, as a TOML file gives them.
+        source: where they come from, for messages.
+
     Raises:
-        ConfigError: for an unknown key (with the nearest known one), a missing key, a wrong type or range.
+        ConfigError: for an unknown key (with the nearest known one), a key of an earlier version (with what replaces
+            it), a missing key, a wrong type or range.
     """
-    _refuse_unknown_keys(data, TaskConfig, source, ())
     try:
-        return msgspec.convert(_with_algorithm_defaults(data) | {"learner_given": _learner_given(data)}, TaskConfig)
-    except msgspec.ValidationError as error:
+        _refuse_unknown_keys(data, TaskConfig, ())
+        return _from_known_keys(data)
+    except ConfigError as error:
         raise ConfigError(f"{source}: {error}") from None
 
 
-def _refuse_unknown_keys(data: Mapping[str, Any], kind: type, source: str, path: tuple[str, ...]) -> None:
-    hints = {key: hint for key, hint in typing.get_type_hints(kind).items() if key != "learner_given"}
+def _from_known_keys(data: Mapping[str, Any]) -> TaskConfig:
+    given = data.get("learner")
+    learner: Mapping[str, Any] = given if isinstance(given, Mapping) else {}
+    agents: dict[str, Any] = {
+        name: read_section(agent_settings(name).config, data.get(name, {}), name) for name in AGENTS.modules
+    }
+    own = {"agents": agents, "learner_given": list(learner)}
+    return read_section(TaskConfig, merge({"learner": learner_defaults(learner.get("algorithm"))}, data) | own)
+
+
+def learner_defaults(algorithm: object) -> Mapping[str, Any]:
+    """What an algorithm lays under the section ``[learner]``; nothing for what is no algorithm, or ``auto``."""
+    return agent_settings(algorithm).learner_defaults if algorithm in AGENTS.modules else {}
+
+
+def _known_keys(kind: Any) -> Mapping[str, Any]:
+    """The keys of a section and their types."""
+    found = dict(hints(kind))
+    if kind is TaskConfig:
+        del found["learner_given"], found["agents"]
+        found |= {name: agent_settings(name).config for name in AGENTS.modules}
+    return found
+
+
+def _refuse_unknown_keys(data: Mapping[str, Any], kind: Any, path: tuple[str, ...]) -> None:
+    known = _known_keys(kind)
     for key, value in data.items():
         dotted = ".".join((*path, key))
-        if key not in hints:
-            nearest = difflib.get_close_matches(key, hints, n=1, cutoff=0)
-            raise ConfigError(f"{source}: unknown key {dotted!r}; did you mean {'.'.join((*path, *nearest))!r}?")
-        if dataclasses.is_dataclass(hints[key]) and isinstance(value, Mapping):
-            _refuse_unknown_keys(value, typing.cast(type, hints[key]), source, (*path, key))
+        if key not in known:
+            raise ConfigError(former_key((*path, key)) or f"unknown key {dotted!r}; {_nearest(key, known, path)}")
+        if dataclasses.is_dataclass(known[key]) and isinstance(value, Mapping):
+            _refuse_unknown_keys(value, known[key], (*path, key))
 
 
-def read_toml(path: Path) -> dict[str, Any]:
-    """Read a TOML file.
-
-    Raises:
-        ConfigError: if it cannot be read, or is not TOML; the text has file, line and column.
-    """
-    try:
-        return tomllib.loads(path.read_text(encoding="utf-8"))
-    except OSError as error:
-        raise ConfigError(f"cannot read {path}: {error.strerror}") from None
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
-        raise ConfigError(f"{path} is not TOML: {error}") from None
+def _nearest(key: str, known: Mapping[str, Any], path: tuple[str, ...]) -> str:
+    nearest = difflib.get_close_matches(key, known, n=1, cutoff=0)
+    return f"did you mean {'.'.join((*path, *nearest))!r}?"
 
 
-def merge(base: Mapping[str, Any], over: Mapping[str, Any]) -> dict[str, Any]:
-    """``base`` with the keys of ``over`` laid on top, tables merged key by key."""
-    merged = dict(base)
-    for key, value in over.items():
-        old = merged.get(key)
-        both = isinstance(old, Mapping) and isinstance(value, Mapping)
-        merged[key] = merge(old, value) if both else value  # type: ignore[arg-type]
-    return merged
-
-
-def settings_from_flags(flags: Iterable[str]) -> dict[str, Any]:
-    """Plain data from ``--set section.key=value`` flags; the value is written as in TOML.
-
-    Raises:
-        ConfigError: if a flag is not of that form.
-    """
-    data: dict[str, Any] = {}
-    for flag in flags:
-        key, equals, text = flag.partition("=")
-        if not equals or not key:
-            raise ConfigError(f"--set {flag!r}: expected section.key=value, for instance learner.gamma=0.98")
-        data = merge(data, _nested(key.strip().split("."), _toml_value(text.strip())))
-    return data
-
-
-def _toml_value(text: str) -> Any:
-    try:
-        return tomllib.loads(f"value = {text}")["value"]
-    except tomllib.TOMLDecodeError:
-        return text
-
-
-def _nested(path: list[str], value: Any) -> dict[str, Any]:
-    return {path[0]: value if len(path) == 1 else _nested(path[1:], value)}
+def former_key(path: tuple[str, ...]) -> str:
+    """What to use instead of a key of an earlier version, as a sentence; empty for a key that never was."""
+    section, key = path[0], path[-1]
+    dotted = ".".join(path)
+    table = agent_settings(section).former_keys if section in AGENTS.modules and len(path) == 2 else FORMER_KEYS
+    advice = table.get(key if table is not FORMER_KEYS else dotted)
+    return f"{dotted!r} was a key of an earlier version: {advice}" if advice else ""

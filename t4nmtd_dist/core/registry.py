@@ -58,6 +58,7 @@ class Registry:
         return import_module(f"{dotted}.{part}" if part else dotted)
 
 
+# ``learner.algorithm = "auto"`` chooses the first that takes the environment's actions.
 AGENTS = Registry(
     "agent",
     {
@@ -69,6 +70,7 @@ AGENTS = Registry(
 METHODS = Registry(
     "method",
     {
+        "random": "t4nmtd_dist.method.random_decomposition",
         "t4nmtd": "t4nmtd_dist.method.t4nmtd",
     },
 )
@@ -77,6 +79,6 @@ LAUNCHERS = Registry(
     "launcher",
     {
         "local": "t4nmtd_dist.launch.local",
-        "serial": "t4nmtd_dist.launch.serial",
+        "serial": "t4nmtd_dist.launch.serial_launcher",
     },
 )

@@ -1,4 +1,4 @@
-"""Which action spaces the learners can act in: Discrete for PPO, a bounded vector of real numbers for SAC."""
+"""Which action spaces agents can act in: Discrete, or a bounded vector of real numbers, as each agent declares."""
 
 from __future__ import annotations
 
@@ -8,6 +8,7 @@ import numpy as np
 from gymnasium import spaces
 from numpy.typing import NDArray
 
+from t4nmtd_dist.core.agent_settings import agent_settings
 from t4nmtd_dist.core.config import TaskConfig
 from t4nmtd_dist.core.errors import EnvError
 
@@ -20,35 +21,41 @@ def check_action_space(task: TaskConfig, space: object) -> None:
     Raises:
         EnvError: if not; names the algorithm, the environment and the space.
     """
-    if task.learner.algorithm == "ppo":
-        action_count(space, task.environment.id)
-    else:
-        action_bounds(space, task.environment.id)
+    name = task.learner.algorithm
+    check = {"discrete": action_count, "continuous": action_bounds}[agent_settings(name).actions]
+    check(space, task.environment.id, name.upper())
 
 
-def action_count(space: object, environment: str) -> int:
-    """How many actions PPO chooses from.
+def action_count(space: object, environment: str, agent: str = "this agent") -> int:
+    """How many actions an agent with discrete actions chooses from.
+
+    Args:
+        space: the action space.
+        environment: its id, for messages.
+        agent: the agent's name, for messages.
 
     Raises:
         EnvError: if the space is not Discrete.
     """
     if not isinstance(space, spaces.Discrete):
-        raise EnvError(f"PPO needs a Discrete action space; {environment} has {space}")
+        raise EnvError(f"{agent} needs a Discrete action space; {environment} has {space}")
     return int(space.n)
 
 
-def action_bounds(space: object, environment: str) -> Bounds:
-    """Lowest and highest actions of SAC, float32 [A]; where float32 is too coarse, inside the space.
+def action_bounds(space: object, environment: str, agent: str = "this agent") -> Bounds:
+    """Lowest and highest actions of an agent with continuous actions, float32 [A]; see ``action_count`` for arguments.
+
+    Where float32 is too coarse, they are inside the space.
 
     Raises:
         EnvError: if the space is not a Box of one dimension, of real numbers within finite bounds.
     """
     if not isinstance(space, spaces.Box):
-        raise EnvError(f"SAC needs a Box action space; {environment} has {space}")
+        raise EnvError(f"{agent} needs a Box action space; {environment} has {space}")
     if len(space.shape) != 1 or space.dtype is None or space.dtype.kind != "f" or not space.is_bounded():
         raise EnvError(
-            f"SAC needs actions that are one vector of real numbers within finite bounds; {environment} has {space} "
-            "(wrappers such as gymnasium.wrappers.RescaleAction can help)"
+            f"{agent} needs actions that are one vector of real numbers within finite bounds; {environment} has "
+            f"{space} (wrappers such as gymnasium.wrappers.RescaleAction can help)"
         )
     return _inside(space.low, +np.inf), _inside(space.high, -np.inf)
 

@@ -11,12 +11,13 @@ from numpy.typing import NDArray
 
 from t4nmtd_dist.core.errors import EnvError, T4NMTDError
 from t4nmtd_dist.core.state_dict import State
-from t4nmtd_dist.environments.attribute_state import pack, restored
 from t4nmtd_dist.environments.observations import Flattener, Vector
 from t4nmtd_dist.environments.serialization import padded, reseed, unpadded
+from t4nmtd_dist.environments.state_decoding import decode_state
+from t4nmtd_dist.environments.state_encoding import encode_state
 from t4nmtd_dist.environments.user_errors import call_user
 
-_DICE = ("_np_random", "_np_random_seed")
+_RNG = ("_np_random", "_np_random_seed")
 _OWN, _MUJOCO = "own", "mujoco"
 
 
@@ -30,8 +31,8 @@ def own_layer(env: Any) -> Any:
         env = env.env
 
 
-class AttributeState:
-    """Attributes of the environment and of its wrappers, written down as bytes.
+class AttributeSnapshots:
+    """Snapshots of the attributes of an environment and of its wrappers.
 
     A snapshot holds the observation and those attributes that differ from a fresh environment after ``reset(seed=0)``:
     tables that never change cost nothing. What the environment keeps elsewhere comes beside them: the array of its
@@ -41,18 +42,18 @@ class AttributeState:
         env: the environment.
         adapter: "own", "mujoco" or "attributes".
         flattener: of its observations.
-        room: bytes of one snapshot; 0 for as many as it happens to need.
+        snapshot_bytes: size of one snapshot; 0 for as much as it happens to need.
     """
 
     replayed = 0
 
-    def __init__(self, env: Any, adapter: str, flattener: Flattener, room: int) -> None:
-        self._env, self._flattener, self._room = env, flattener, room
+    def __init__(self, env: Any, adapter: str, flattener: Flattener, snapshot_bytes: int) -> None:
+        self._env, self._flattener, self._snapshot_bytes = env, flattener, snapshot_bytes
         self._own = own_layer(env) if adapter == "own" else None
         self._mujoco = _MujocoState(env.unwrapped) if adapter == "mujoco" else None
         self._layers = self._layers_outside(self._own)
         self._observation = self._flattener.flatten(env.reset(seed=0)[0])
-        self._fresh = self._written()
+        self._fresh = self._encoded()
 
     def _layers_outside(self, stop: Any) -> list[Any]:
         layers, layer = [], self._env
@@ -76,11 +77,11 @@ class AttributeState:
 
     def get(self) -> NDArray[np.uint8]:
         """See ``Snapshots.get``."""
-        written = self._written()
-        changed = {key: code for key, code in written.items() if self._fresh.get(key) != code}
-        gone = [key for key in self._fresh if key not in written]
+        encoded = self._encoded()
+        changed = {key: code for key, code in encoded.items() if self._fresh.get(key) != code}
+        gone = [key for key in self._fresh if key not in encoded]
         data: bytes = msgpack.packb([self._observation.tobytes(), changed, gone])
-        return padded(data, self._room)
+        return padded(data, self._snapshot_bytes)
 
     def set(self, state: NDArray[Any]) -> Vector:
         """See ``Snapshots.set``."""
@@ -101,21 +102,21 @@ class AttributeState:
             f"{depth}.{name}": (vars(layer), name)
             for depth, layer in enumerate(self._layers)
             for name in vars(layer)
-            if name not in _DICE and not (name == "env" and isinstance(layer, gym.Wrapper))
+            if name not in _RNG and not (name == "env" and isinstance(layer, gym.Wrapper))
         }
 
-    def _written(self) -> dict[str, bytes]:
+    def _encoded(self) -> dict[str, bytes]:
         left = frozenset(map(id, [*self._layers, self._own, getattr(self._env.unwrapped, "_np_random", None)]))
-        found = {key: pack(held[name], leave=left) for key, (held, name) in self._attributes().items()}
+        found = {key: encode_state(held[name], leave=left) for key, (held, name) in self._attributes().items()}
         if self._own is not None:
-            found[_OWN] = pack(self._own.get_state())
+            found[_OWN] = encode_state(self._own.get_state())
         if self._mujoco is not None:
             found[_MUJOCO] = self._mujoco.get()
         return found
 
     def _restore(self, wanted: dict[str, bytes]) -> None:
         if self._own is not None:
-            call_user(f"environment {self._env}", "set_state()", self._own.set_state, restored(wanted[_OWN], None))
+            call_user(f"environment {self._env}", "set_state()", self._own.set_state, decode_state(wanted[_OWN], None))
         attributes = self._attributes()
         for key in [key for key in attributes if key not in wanted]:
             held, name = attributes[key]
@@ -124,7 +125,7 @@ class AttributeState:
             if key not in (_OWN, _MUJOCO):
                 depth, _, name = key.partition(".")
                 held = vars(self._layers[int(depth)])
-                held[name] = restored(code, held.get(name))
+                held[name] = decode_state(code, held.get(name))
         if self._mujoco is not None:
             self._mujoco.set(wanted[_MUJOCO])
 

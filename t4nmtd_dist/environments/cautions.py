@@ -34,20 +34,20 @@ def cautions(task: CompiledTask) -> list[str]:
 
 def _of_observations(config: TaskConfig) -> list[str]:
     from t4nmtd_dist.environments.observation_range import ObservationRange
-    from t4nmtd_dist.environments.single_env import EnvironmentCopy
+    from t4nmtd_dist.environments.single_env import SingleEnv
 
-    copy = EnvironmentCopy(config.environment, config.propositions)
-    seen = ObservationRange(copy.parts)
-    copy.action_space.seed(0)
-    seen.note(copy.reset(0))
+    env = SingleEnv(config.environment, config.propositions)
+    seen = ObservationRange(env.parts)
+    env.action_space.seed(0)
+    seen.note(env.reset(0))
     ends_at, episode = time.monotonic() + MOST_S, 0
     for _ in range(STEPS):
-        step, episode = copy.step(copy.action_space.sample()), episode + 1
+        step, episode = env.step(env.action_space.sample()), episode + 1
         seen.note(step.observation)
         if step.terminated or step.truncated or episode >= config.environment.horizon:
-            seen.note(copy.reset(None))
+            seen.note(env.reset(None))
             episode = 0
         if time.monotonic() > ends_at:
             break
-    copy.env.close()
+    env.env.close()
     return seen.warnings(normalised=config.learner.normalise_observations == "on")

@@ -3,15 +3,13 @@
 from __future__ import annotations
 
 import dataclasses
-from typing import Any, Literal
 
 import msgspec
 from gymnasium import spaces
 
-from t4nmtd_dist.core.config import ALGORITHM_DEFAULTS, LearnerConfig, TaskConfig
+from t4nmtd_dist.core.agent_settings import agent_for, agent_settings
+from t4nmtd_dist.core.config import LearnerConfig, TaskConfig
 from t4nmtd_dist.tasks import is_packages_environment
-
-Algorithm = Literal["ppo", "sac"]
 
 
 def decided(config: TaskConfig, action_space: object) -> TaskConfig:
@@ -19,11 +17,12 @@ def decided(config: TaskConfig, action_space: object) -> TaskConfig:
 
     Args:
         config: of any task.
-        action_space: of its environment. Discrete calls for PPO, anything else for SAC; whether SAC can act in it is
-            the affair of ``check_action_space``.
+        action_space: of its environment. Discrete calls for an agent with discrete actions, anything else for one with
+            continuous actions; ``check_action_space`` tells whether it can act there.
     """
     if config.learner.algorithm == "auto":
-        config = with_algorithm(config, "ppo" if isinstance(action_space, spaces.Discrete) else "sac")
+        discrete = isinstance(action_space, spaces.Discrete)
+        config = with_algorithm(config, agent_for("discrete" if discrete else "continuous"))
     if config.learner.normalise_observations == "auto":
         needed = not is_packages_environment(config.environment)
         learner = dataclasses.replace(config.learner, normalise_observations="on" if needed else "off")
@@ -31,10 +30,10 @@ def decided(config: TaskConfig, action_space: object) -> TaskConfig:
     return config
 
 
-def with_algorithm(config: TaskConfig, algorithm: Algorithm) -> TaskConfig:
+def with_algorithm(config: TaskConfig, algorithm: str) -> TaskConfig:
     """The settings with an algorithm, and its own defaults for whatever was not given."""
     plain, learner = LearnerConfig(), config.learner
-    own: dict[str, Any] = ALGORITHM_DEFAULTS.get(algorithm, {}).get("learner", {})
+    own = agent_settings(algorithm).learner_defaults
     free = {
         key: value
         for key, value in own.items()

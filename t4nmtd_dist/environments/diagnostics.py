@@ -14,8 +14,8 @@ from t4nmtd_dist.environments.decisions import decided
 from t4nmtd_dist.environments.exclusive import Suggestion, suggestions
 from t4nmtd_dist.environments.observation_range import ObservationRange
 from t4nmtd_dist.environments.preparation import check_fit, slowness
-from t4nmtd_dist.environments.restoring import Choice, choose_snapshots, chosen
-from t4nmtd_dist.environments.single_env import EnvironmentCopy
+from t4nmtd_dist.environments.single_env import SingleEnv
+from t4nmtd_dist.environments.snapshot_choice import AdapterChoice, choose_snapshots, with_choice
 from t4nmtd_dist.environments.timed import check_last_is_free, ends_episode
 from t4nmtd_dist.environments.user_errors import described
 from t4nmtd_dist.method.compiled import CompiledTask
@@ -27,7 +27,7 @@ FORGOTTEN = 0.05
 
 
 @dataclass
-class Survey:
+class Diagnosis:
     """What was found.
 
     Attributes:
@@ -45,7 +45,7 @@ class Survey:
         together: how often each set of names that an exclusive group forbids was seen.
         seen: how often each set of true propositions was seen.
         suggestions: groups that might be declared exclusive.
-        steps_per_s: one copy, labels included.
+        steps_per_s: of one copy, labels included.
         problems: what makes the task unusable.
         warnings: what deserves a look.
     """
@@ -56,7 +56,7 @@ class Survey:
     observation_size: int
     learner: LearnerConfig
     propositions: tuple[str, ...]
-    snapshots: Choice
+    snapshots: AdapterChoice
     observations: ObservationRange
     steps: int = 0
     episodes: int = 0
@@ -82,7 +82,7 @@ class Survey:
         return [name for name in self.propositions if not self.true_steps[name]]
 
 
-def survey(task: CompiledTask, *, steps: int, seed: int) -> Survey:
+def diagnose(task: CompiledTask, *, steps: int, seed: int) -> Diagnosis:
     """Act at random for a while.
 
     Args:
@@ -96,11 +96,11 @@ def survey(task: CompiledTask, *, steps: int, seed: int) -> Survey:
     config = task.config
     try:
         choice = choose_snapshots(config.environment, config.propositions, trials=MORE_TRIALS)
-        copy = EnvironmentCopy(chosen(config.environment, choice), config.propositions)
-        task = dataclasses.replace(task, config=decided(config, copy.action_space))
-        found = _described(task, copy, choice)
-        _fits(task, copy, found)
-        _act(task, copy, found, steps, seed)
+        env = SingleEnv(with_choice(config.environment, choice), config.propositions)
+        task = dataclasses.replace(task, config=decided(config, env.action_space))
+        found = _described(task, env, choice)
+        _fits(task, env, found)
+        _act(task, env, found, steps, seed)
     except T4NMTDError:
         raise
     except Exception as error:  # whatever a user's environment may raise
@@ -110,44 +110,44 @@ def survey(task: CompiledTask, *, steps: int, seed: int) -> Survey:
     return found
 
 
-def _described(task: CompiledTask, copy: EnvironmentCopy, choice: Choice) -> Survey:
+def _described(task: CompiledTask, env: SingleEnv, choice: AdapterChoice) -> Diagnosis:
     timed = task.config.acceptance == "end"
-    return Survey(
-        str(copy.env),
-        str(copy.env.observation_space),
-        str(copy.action_space),
-        copy.observation_size + timed,
+    return Diagnosis(
+        str(env.env),
+        str(env.env.observation_space),
+        str(env.action_space),
+        env.observation_size + timed,
         task.config.learner,
-        tuple(name for name in copy.propositions if not (timed and name == LAST)),
+        tuple(name for name in env.propositions if not (timed and name == LAST)),
         choice,
-        ObservationRange(copy.parts),
+        ObservationRange(env.parts),
     )
 
 
-def _fits(task: CompiledTask, copy: EnvironmentCopy, found: Survey) -> None:
+def _fits(task: CompiledTask, env: SingleEnv, found: Diagnosis) -> None:
     try:
         last = (LAST,) if task.config.acceptance == "end" else ()
         if last:
-            check_last_is_free(copy.propositions)
-        check_fit(task, (*copy.propositions, *last), copy.action_space)
+            check_last_is_free(env.propositions)
+        check_fit(task, (*env.propositions, *last), env.action_space)
     except EnvError as error:
         found.problems.append(str(error))
 
 
-def _act(task: CompiledTask, copy: EnvironmentCopy, found: Survey, steps: int, seed: int) -> None:
-    copy.action_space.seed(seed)
+def _act(task: CompiledTask, env: SingleEnv, found: Diagnosis, steps: int, seed: int) -> None:
+    env.action_space.seed(seed)
     began = time.perf_counter()
     while found.steps < steps:
-        _episode(task, copy, found, steps, seed)
+        _episode(task, env, found, steps, seed)
     found.steps_per_s = found.steps / (time.perf_counter() - began)
 
 
-def _episode(task: CompiledTask, copy: EnvironmentCopy, found: Survey, steps: int, seed: int) -> None:
-    found.observations.note(copy.reset(seed if not found.steps else None))
+def _episode(task: CompiledTask, env: SingleEnv, found: Diagnosis, steps: int, seed: int) -> None:
+    found.observations.note(env.reset(seed if not found.steps else None))
     q, ending, horizon = task.dfa.initial, "horizon", task.config.environment.horizon
     for t in range(1, horizon + 1):
-        step = copy.step(copy.action_space.sample())
-        true = [name for name, holds in zip(copy.propositions, step.labels, strict=True) if holds]
+        step = env.step(env.action_space.sample())
+        true = [name for name, holds in zip(env.propositions, step.labels, strict=True) if holds]
         names = [name for name in true if name in found.propositions]
         found.observations.note(step.observation)
         found.steps += 1
@@ -179,7 +179,7 @@ def _ending(task: CompiledTask, q: int, terminated: bool, truncated: bool) -> st
     return next((name for name, held in holds.items() if held), "horizon")
 
 
-def _judge(task: CompiledTask, found: Survey) -> None:
+def _judge(task: CompiledTask, found: Diagnosis) -> None:
     for names, times in found.together.items():
         text = f"exclusive says that {' and '.join(names)} never hold together, but they did on {times} steps"
         found.problems.append(text)
@@ -195,12 +195,12 @@ def _judge(task: CompiledTask, found: Survey) -> None:
     found.warnings += _about_the_end(task, found)
     if not is_packages_environment(task.config.environment):
         found.warnings += found.observations.warnings(normalised=found.normalised)
-    slow = slowness(chosen(task.config.environment, found.snapshots))
+    slow = slowness(with_choice(task.config.environment, found.snapshots))
     if slow is not None:
         found.warnings.append(slow)
 
 
-def _about_the_end(task: CompiledTask, found: Survey) -> list[str]:
+def _about_the_end(task: CompiledTask, found: Diagnosis) -> list[str]:
     """What deserves a look where the trace ends with the episode."""
     if task.config.acceptance != "end":
         return []

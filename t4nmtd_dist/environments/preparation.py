@@ -69,11 +69,11 @@ def slowness(config: EnvironmentConfig) -> str | None:
 
 def _checked(task: CompiledTask) -> CompiledTask:
     from t4nmtd_dist.environments.decisions import decided
-    from t4nmtd_dist.environments.restoring import choose_snapshots, chosen
+    from t4nmtd_dist.environments.snapshot_choice import choose_snapshots, with_choice
     from t4nmtd_dist.environments.timed import make_task_env
 
     config = task.config
-    environment = chosen(config.environment, choose_snapshots(config.environment, config.propositions))
+    environment = with_choice(config.environment, choose_snapshots(config.environment, config.propositions))
     env = make_task_env(dataclasses.replace(config, environment=environment), 1)
     task = dataclasses.replace(
         task, config=decided(dataclasses.replace(config, environment=environment), env.action_space)

@@ -1,4 +1,4 @@
-"""What all snapshots of bytes share: one length for all of a run, and the environment's rng."""
+"""What snapshots made of bytes share: one length for a whole run, and the environment's ``np_random``."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ _LENGTH = np.dtype("<u4")
 
 
 def reseed(env: Env, seed: int) -> None:
-    """Seed the environment's ``np_random`` where it is, so that all who hold it see the change."""
+    """Seed the environment's ``np_random`` in place, so that everything that refers to it sees the change."""
     fresh = np.random.default_rng(seed)
     held = env.unwrapped.np_random
     if type(held.bit_generator) is type(fresh.bit_generator):
@@ -24,29 +24,29 @@ def reseed(env: Env, seed: int) -> None:
 
 
 def rng_state(env: Env) -> Any:
-    """Where the environment's ``np_random`` is; None if it has none yet."""
+    """The state of the environment's ``np_random``; None if it has none yet."""
     held = getattr(env.unwrapped, "_np_random", None)
     return held.bit_generator.state if isinstance(held, np.random.Generator) else None
 
 
 def set_rng_state(env: Env, state: Any) -> None:
-    """Let the environment's ``np_random`` go on from a ``rng_state``."""
+    """Set the environment's ``np_random`` to a ``rng_state``."""
     if state is not None:
         env.unwrapped.np_random.bit_generator.state = state
 
 
-def padded(data: bytes, room: int) -> NDArray[np.uint8]:
-    """Length, data, and zeros up to ``room`` bytes of data (0: no more than needed), uint8.
+def padded(data: bytes, size: int) -> NDArray[np.uint8]:
+    """Length, data, and zeros up to ``size`` bytes of data (0: no more than needed), uint8.
 
     Raises:
         EnvError: if there is more than that.
     """
-    if room and len(data) > room:
+    if size and len(data) > size:
         raise EnvError(
-            f"a snapshot takes {len(data)} bytes, and the task has room for {room}: "
+            f"a snapshot takes {len(data)} bytes, and the task has room for {size}: "
             'set environment.snapshot_bytes higher, or environment.snapshots = "replay"'
         )
-    array = np.zeros(_LENGTH.itemsize + max(room, len(data)), np.uint8)
+    array = np.zeros(_LENGTH.itemsize + max(size, len(data)), np.uint8)
     array[:4].view(_LENGTH)[0] = len(data)
     array[4 : 4 + len(data)] = np.frombuffer(data, np.uint8)
     return array

@@ -1,4 +1,4 @@
-"""One copy of an environment as the learners see it: vectors, labels and snapshots."""
+"""One environment as the learners see it: vectors, labels and snapshots."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from t4nmtd_dist.environments.snapshots import make_snapshots
 from t4nmtd_dist.environments.user_errors import call_user
 
 
-class CopyStep(NamedTuple):
+class SingleStep(NamedTuple):
     """One step: observation float32 [d], labels bool [P], and whether the episode ended or was cut."""
 
     observation: Vector
@@ -29,11 +29,11 @@ class CopyStep(NamedTuple):
     truncated: bool
 
 
-class EnvironmentCopy:
+class SingleEnv:
     """An environment with everything that a task file adds to it.
 
     Args:
-        config: the section ``[environment]``, its ``snapshots`` chosen (see ``restoring.with_snapshots``).
+        config: the section ``[environment]``, its ``snapshots`` chosen (see ``snapshot_choice.with_snapshots``).
         propositions: all that may be reported. An environment that lists its own ``propositions`` and has no
             labelling function knows better.
         render_mode: passed on to the environment.
@@ -55,9 +55,15 @@ class EnvironmentCopy:
         self.propositions = self._labels.propositions
         self._flatten = flat.flatten
         adapter = "own" if config.snapshots == "auto" else config.snapshots
-        room, horizon = config.snapshot_bytes, config.horizon
         self._snapshots = call_user(
-            self._who, "reset() or get_state()", make_snapshots, self.env, adapter, flat, room, horizon
+            self._who,
+            "reset() or get_state()",
+            make_snapshots,
+            self.env,
+            adapter,
+            flat,
+            config.snapshot_bytes,
+            config.horizon,
         )
 
     @property
@@ -70,13 +76,13 @@ class EnvironmentCopy:
         seen = call_user(self._who, "reset()", self._snapshots.reset, seed)
         return _finite(self._flatten(seen), "the observation of reset()")
 
-    def step(self, action: Any) -> CopyStep:
+    def step(self, action: Any) -> SingleStep:
         """Act once."""
         action = self._action(action)
         seen, _, terminated, truncated, info = call_user(self._who, "step()", self.env.step, action)
         observation = _finite(self._flatten(seen), "the observation of step()")
         cut = self._snapshots.acted(action, observation)
-        return CopyStep(observation, self._labels.row(seen, info), bool(terminated), bool(truncated) or cut)
+        return SingleStep(observation, self._labels.row(seen, info), bool(terminated), bool(truncated) or cut)
 
     def _action(self, action: Any) -> Any:
         space = self.action_space
@@ -100,11 +106,11 @@ class EnvironmentCopy:
         return call_user(self._who, "render()", self.env.render)
 
     def reseed(self, seed: int) -> None:
-        """Let the environment's own chance take another course from here."""
+        """Give the environment's random generator a new seed."""
         self._snapshots.reseed(seed)
 
     def state_dict(self) -> State:
-        """Everything that decides the copy's future, its rng included, for a checkpoint."""
+        """Everything that decides its future, its random generator included, for a checkpoint."""
         return {
             "snapshot": self._snapshots.get(),
             "rng": rng_state(self.env),
@@ -112,7 +118,7 @@ class EnvironmentCopy:
         }
 
     def load_state_dict(self, state: State) -> None:
-        """Go on from a ``state``. Steps of a replay are none here: they were counted when they were first taken."""
+        """Continue from a ``state_dict``. A replay's steps are not counted again."""
         replayed = self._snapshots.replayed
         self._snapshots.set(state["snapshot"])
         if self._snapshots.replayed != replayed:

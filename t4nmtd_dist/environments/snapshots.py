@@ -1,9 +1,9 @@
 """Snapshots of environments: flat arrays that any process with the same environment can restore.
 
-``Contract`` serves environments that are like our own environments. For all others there are ``AttributeState`` (their
-attributes, beside their own ``get_state`` or MuJoCo's integration state where there is one) and ``Replay`` (a seed
-and the actions since). docs/decisions/010 says why these, and what is not in a snapshot: the environment's rng
-``np_random``. Every attempt throws them anew.
+``OwnSnapshots`` serves environments like the package's own, which have the contract of ``envs.protocol``. The others
+have ``AttributeSnapshots`` (their attributes, beside their own ``get_state`` or MuJoCo's integration state where there
+is one) or ``ActionReplay`` (a seed and the actions since). docs/decisions/010 says why these. The environment's random
+generator ``np_random`` is not part of a snapshot: every roll-out seeds it anew.
 """
 
 from __future__ import annotations
@@ -15,10 +15,10 @@ from numpy.typing import NDArray
 
 from t4nmtd_dist.core.errors import EnvError
 from t4nmtd_dist.core.state_dict import State
-from t4nmtd_dist.environments.attribute_snapshots import AttributeState, own_layer
+from t4nmtd_dist.environments.action_replay import ActionReplay
+from t4nmtd_dist.environments.attribute_snapshots import AttributeSnapshots, own_layer
 from t4nmtd_dist.environments.observations import Flattener, Vector
 from t4nmtd_dist.environments.opening import Env
-from t4nmtd_dist.environments.replay import Replay
 from t4nmtd_dist.environments.user_errors import calls
 
 Adapter = Literal["own", "mujoco", "attributes", "replay"]
@@ -53,7 +53,7 @@ class Snapshots(Protocol):
 
 
 def keeps_contract(env: Env) -> bool:
-    """Whether the environment is like our own environments: see ``envs.protocol.SnapshotEnv``."""
+    """Whether the environment has the contract of ``envs.protocol.SnapshotEnv``."""
     return all(hasattr(env, name) for name in ("propositions", "get_state", "set_state"))
 
 
@@ -68,31 +68,31 @@ def is_mujoco(env: Env) -> bool:
     return hasattr(env.unwrapped, "model") and type(data).__module__.startswith("mujoco")
 
 
-def make_snapshots(env: Env, adapter: Adapter, flattener: Flattener, room: int, horizon: int) -> Snapshots:
+def make_snapshots(env: Env, adapter: Adapter, flattener: Flattener, snapshot_bytes: int, horizon: int) -> Snapshots:
     """The adapter of a name.
 
     Args:
         env: the environment.
         adapter: its name.
         flattener: of its observations.
-        room: bytes of one snapshot; 0 for as many as it happens to need.
+        snapshot_bytes: size of one snapshot; 0 for as much as it happens to need.
         horizon: most steps of a replay.
 
     Raises:
         EnvError: if the environment does not have what the adapter needs.
     """
     if adapter == "replay":
-        return Replay(env, flattener, horizon)
+        return ActionReplay(env, flattener, horizon)
     if adapter == "own" and keeps_contract(env):
-        return Contract(env, flattener)
+        return OwnSnapshots(env, flattener)
     needed = {"own": has_own_state, "mujoco": is_mujoco}.get(adapter)
     if needed is not None and not needed(env):
         raise EnvError(f'environment.snapshots = "{adapter}" does not fit {env}: it lacks what that needs')
-    return AttributeState(env, adapter, flattener, room)
+    return AttributeSnapshots(env, adapter, flattener, snapshot_bytes)
 
 
-class Contract:
-    """An environment of our own kind: its snapshots are its own affair, rng included."""
+class OwnSnapshots:
+    """The snapshots of an environment with the contract of ``envs.protocol``, used as they are."""
 
     replayed = 0
 
@@ -124,7 +124,7 @@ class Contract:
             raise EnvError(f"{self._env}: {error}{calls(error)}") from None
 
     def reseed(self, seed: int) -> None:
-        """Leave them as they are."""
+        """Leave the generator as it is: it belongs to the environment's own state."""
 
     def bookkeeping(self) -> State:
         """Nothing."""

@@ -12,7 +12,8 @@ from t4nmtd_dist.automata.acceptance import LAST
 from t4nmtd_dist.core.config import TaskConfig
 from t4nmtd_dist.core.errors import EnvError
 from t4nmtd_dist.core.state_dict import State
-from t4nmtd_dist.environments.batched import BatchedEnv, EnvStep, Observations, Rows, make_env
+from t4nmtd_dist.environments.batched import BatchedEnv, EnvStep, Observations, Rows
+from t4nmtd_dist.environments.make_env import make_env
 
 _TIME = np.dtype("<i8")
 _DTYPE_BYTES = 8  # room for the name of a dtype such as <f4

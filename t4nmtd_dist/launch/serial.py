@@ -91,8 +91,12 @@ class SerialRun:
         """
         while self.coordinator.outcome is None:
             self.round()
-            taken, self.notes = self.notes, []
-            yield taken
+            yield self.take_notes()
+
+    def take_notes(self) -> list[Action]:
+        """What is worth recording since the last call."""
+        taken, self.notes = self.notes, []
+        return taken
 
     def state_dict(self) -> State:
         """Everything, for a checkpoint; arrays may be views of what is learned with."""

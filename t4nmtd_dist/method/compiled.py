@@ -12,13 +12,12 @@ from numpy.typing import NDArray
 from t4nmtd_dist.automata.acceptance import task_automaton
 from t4nmtd_dist.automata.deadline import Deadline
 from t4nmtd_dist.automata.dfa import DFA
-from t4nmtd_dist.automata.formula import names_in_order
 from t4nmtd_dist.automata.translate import translate
 from t4nmtd_dist.core.config import TaskConfig
 from t4nmtd_dist.core.errors import ConfigError
-from t4nmtd_dist.method.decomposition import Decomposition, decompose
-from t4nmtd_dist.method.high_level import QTable
+from t4nmtd_dist.method.decomposition import Decomposition
 from t4nmtd_dist.method.potential import distances, potentials
+from t4nmtd_dist.method.protocol import Method, method_module
 
 Translator = Literal["auto", "mona", "python"]
 
@@ -43,36 +42,19 @@ class CompiledTask:
         """F and E."""
         return self.dfa.accepting | self.dfa.error
 
-    def q_table(self) -> QTable:
-        """An empty Q table for this task."""
-        high = self.config.high_level
-        return QTable(
-            self.decomposition,
-            self.terminal,
-            alpha=high.alpha,
-            gamma=self.config.learner.gamma,
-            epsilon=high.epsilon,
-            smdp_discount=high.smdp_discount,
-        )
+    def method(self) -> Method:
+        """The rules of ``learner.method`` for this task; its upper level knows nothing yet."""
+        module = method_module(self.config.learner.method)
+        return module.build(self.config, self.dfa, self.decomposition, self.rho)
 
 
 def decomposed(task: TaskConfig, dfa: DFA, *, seed: int = 0, deadline: Deadline | None = None) -> Decomposition:
-    """The sub-tasks of a task's automaton, under the task's settings.
+    """The sub-tasks of a task's automaton, as ``learner.method`` decomposes it.
 
     Raises:
-        ConfigError: see ``decompose``.
+        ConfigError: see ``MethodModule.decompose``.
     """
-    settings = task.decomposition
-    return decompose(
-        dfa,
-        exclusive=task.exclusive,
-        mode=settings.mode,
-        prune=settings.prune,
-        keep=settings.keep,
-        order=names_in_order(task.formula),
-        seed=seed,
-        deadline=deadline,
-    )
+    return method_module(task.learner.method).decompose(task, dfa, seed=seed, deadline=deadline)
 
 
 def compile_task(config: TaskConfig, *, translator: Translator = "auto", seed: int = 0) -> CompiledTask:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable
+from collections.abc import Collection, Iterable, Sequence
 
 import numpy as np
 
@@ -64,21 +64,27 @@ class QTable:
         old = self._values.get((q, pid))
         self._values[q, pid] = target if old is None else old + self._alpha * (target - old)
 
-    def choose(self, q: int, rng: np.random.Generator) -> str | None:
-        """E(Q, q): epsilon-greedy over the sub-tasks available in q, ties at random; None if there is none."""
-        available = self._decomposition.available(q)
+    def choose(self, q: int, rng: np.random.Generator, among: Collection[str] | None = None) -> str | None:
+        """E(Q, q): epsilon-greedy over the sub-tasks available in q, ties at random; None if there is none.
+
+        Only sub-tasks of ``among`` count, if it is given.
+        """
+        available = self._available(q, among)
         if not available:
             return None
         if rng.random() < self._epsilon:
-            return str(available[rng.integers(len(available))])
+            return available[int(rng.integers(len(available)))]
         best = max(self.value(q, pid) for pid in available)
         ties = [pid for pid in available if self.value(q, pid) == best]
-        return ties[rng.integers(len(ties))]
+        return ties[int(rng.integers(len(ties)))]
 
-    def greedy(self, q: int) -> str | None:
-        """Arg max Q(q, .) with ties by name, for evaluation; None where no sub-task is available."""
+    def greedy(self, q: int, among: Collection[str] | None = None) -> str | None:
+        """Arg max Q(q, .) with ties by name, for evaluation; None where no sub-task (of ``among``) is available."""
+        return max(self._available(q, among), key=lambda pid: self.value(q, pid), default=None)
+
+    def _available(self, q: int, among: Collection[str] | None) -> Sequence[str]:
         available = self._decomposition.available(q)
-        return max(available, key=lambda pid: self.value(q, pid), default=None)
+        return available if among is None else [pid for pid in available if pid in among]
 
     def entries(self) -> QEntries:
         """Every known entry as (q, pid, value), sorted."""

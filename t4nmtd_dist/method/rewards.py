@@ -28,6 +28,9 @@ class SymbolReader:
         dfa: whose propositions count.
         propositions: the environment's propositions, the columns of its label matrix.
 
+    Attributes:
+        delta: the DFA's transition table, int32 [Q, symbols].
+
     Raises:
         EnvError: if the environment never reports a proposition of the formula.
     """
@@ -39,6 +42,7 @@ class SymbolReader:
                 f"the formula uses {missing[0]!r}, which the environment does not report; "
                 f"it reports {', '.join(propositions)}"
             )
+        self.delta = dfa.delta
         self._bits = np.array([dfa.symbol([name]) for name in propositions], dtype=np.int64)
 
     def symbols(self, labels: NDArray[np.bool_]) -> NDArray[np.int64]:
@@ -72,6 +76,24 @@ class SubtaskTables:
     def terminal(self) -> NDArray[np.bool_]:
         """Bool [Q]: F or E, where the critic's value is 0."""
         return self.accepting | self.error
+
+    def transition_rewards(self, q: States, q_next: States, terminated: NDArray[np.bool_]) -> NDArray[np.float64]:
+        """Shaped reward of steps from q to q' (paper, Algorithm 2, lines 7 to 9), unscaled.
+
+        Args:
+            q: DFA states [N].
+            q_next: DFA states after the step [N].
+            terminated: whether the environment itself ended on the step [N].
+
+        Returns:
+            float64 [N].
+        """
+        rewards: NDArray[np.float64] = self.reward[q, q_next]
+        return rewards - np.where(terminated, self.carried_potential[q_next], 0.0)
+
+    def terminals(self, q_next: States, terminated: NDArray[np.bool_]) -> NDArray[np.bool_]:
+        """Bool [N]: steps into F or E, or on which the environment ended: the value of what follows is 0."""
+        return self.terminal[q_next] | terminated
 
 
 def subtask_tables(

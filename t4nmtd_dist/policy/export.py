@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from safetensors import SafetensorError
 from safetensors.numpy import load, save_file
 
-from t4nmtd_dist.agents.actors import acting_parameters
+from t4nmtd_dist.agents.weights import acting_parameters
 from t4nmtd_dist.core.action_modes import ActionMode
 from t4nmtd_dist.method.compiled import CompiledTask
 from t4nmtd_dist.method.high_level import QEntries

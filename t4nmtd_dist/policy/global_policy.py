@@ -6,42 +6,59 @@ An exported policy is a folder: ``policy.json`` (format version, task, DFA, Q, s
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
-from pathlib import Path
-from typing import Any
+from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
-from t4nmtd_dist.agents.actors import Actions, make_actor
-from t4nmtd_dist.agents.common.networks import product_state
+from t4nmtd_dist.agents.actors import make_actor
+from t4nmtd_dist.agents.common.product_states import product_states
+from t4nmtd_dist.agents.protocol import Actions
 from t4nmtd_dist.automata.acceptance import LAST
 from t4nmtd_dist.automata.dfa import DFA
 from t4nmtd_dist.core.action_modes import ActionMode, action_mode
-from t4nmtd_dist.core.config import TaskConfig, task_config
-from t4nmtd_dist.core.errors import ConfigError, PolicyError
-from t4nmtd_dist.core.registry import AGENTS
+from t4nmtd_dist.core.config import TaskConfig
+from t4nmtd_dist.core.errors import PolicyError
 from t4nmtd_dist.environments.batched import Observations
 from t4nmtd_dist.environments.timed import remaining_share
 from t4nmtd_dist.method.decomposition import Decomposition
 from t4nmtd_dist.method.high_level import QEntries
-from t4nmtd_dist.policy.export import ACTORS_FILE, POLICY_FILE, POLICY_FORMAT, read_export
+from t4nmtd_dist.method.protocol import method_module
 from t4nmtd_dist.policy.one_thread import one_torch_thread
 
 FLATTEN = "flatten observations that are one-hot or a Dict by t4nmtd_dist.environments.observations.flattener"
 
+
 ActorWeights = Mapping[str, Mapping[str, NDArray[Any]]]
+
+
+class PolicyTask(Protocol):
+    """The parts of a task that a policy needs, of a compiled task or of an exported one."""
+
+    @property
+    def config(self) -> TaskConfig:
+        """The settings."""
+
+    @property
+    def dfa(self) -> DFA:
+        """The automaton."""
+
+    @property
+    def decomposition(self) -> Decomposition:
+        """The sub-tasks."""
+
+    @property
+    def rho(self) -> NDArray[np.float64]:
+        """Potential of every DFA state [Q], for the validation return."""
 
 
 class GlobalPolicy:
     """Actors, one per sub-task, and which one acts in which DFA state.
 
     Args:
-        config: the task.
-        dfa: its automaton.
-        decomposition: its sub-tasks.
+        task: its settings, automaton, sub-tasks and potentials.
         q_table: known entries of Q(q, T).
         actors: by pid, parameters named ``actor.*`` (others are ignored).
-        rho: potentials [Q], for the validation return.
         mode: how ``act`` picks actions unless told otherwise: the most likely ones, or sampled ones.
         seed: of sampled actions; None for one from the operating system.
 
@@ -54,28 +71,20 @@ class GlobalPolicy:
 
     def __init__(
         self,
-        config: TaskConfig,
-        dfa: DFA,
-        decomposition: Decomposition,
+        task: PolicyTask,
         q_table: QEntries,
         actors: ActorWeights,
-        rho: NDArray[np.float64],
         *,
         mode: str = "greedy",
         seed: int | None = None,
     ) -> None:
-        self.config, self.dfa, self.decomposition, self.q_table, self.rho = (
-            config,
-            dfa,
-            decomposition,
-            q_table,
-            rho,
-        )
-        self._actors = {pid: make_actor(config.learner, weights) for pid, weights in actors.items()}
+        self.config, self.dfa, self.decomposition, self.rho = task.config, task.dfa, task.decomposition, task.rho
+        self.q_table = q_table
+        self._actors = {pid: make_actor(task.config.learner, weights) for pid, weights in actors.items()}
         self.subtask_of = self._choices()
         self.mode: ActionMode = action_mode(mode)
         self._rng = np.random.default_rng(seed)
-        self._q = dfa.initial
+        self._q = self.dfa.initial
         self._first = True
         self._steps = 0
 
@@ -85,14 +94,12 @@ class GlobalPolicy:
         return LAST in self.dfa.propositions
 
     def _choices(self) -> dict[int, str]:
-        """The greedy sub-task of every DFA state, among those that have an actor; ties by name."""
-        known = {(q, pid): value for q, pid, value in self.q_table}
-        chosen = {}
-        for q in range(self.dfa.states):
-            able = [pid for pid in self.decomposition.available(q) if pid in self._actors]
-            if able:
-                chosen[q] = max(able, key=lambda pid: known.get((q, pid), -np.inf))
-        return chosen
+        """The sub-task that the method chooses in every DFA state, greedily among those that have an actor."""
+        module = method_module(self.config.learner.method)
+        method = module.build(self.config, self.dfa, self.decomposition, self.rho)
+        method.load(self.q_table)
+        chosen = method.choose(range(self.dfa.states), among=self._actors)
+        return {q: pid for q, pid in enumerate(chosen) if pid is not None}
 
     def actions(
         self, observations: Observations, q: NDArray[np.int32], rng: np.random.Generator | None = None
@@ -120,7 +127,7 @@ class GlobalPolicy:
             if pid is None:
                 continue
             rows = q == state
-            found = self._actors[pid].act(product_state(observations[rows], q[rows], self.dfa.states), rng)
+            found = self._actors[pid].act(product_states(observations[rows], q[rows], self.dfa.states), rng)
             if actions is None:
                 actions = np.zeros((len(q), *found.shape[1:]), found.dtype)
             actions[rows], known[rows] = found, True
@@ -241,58 +248,3 @@ class GlobalPolicy:
                 f"{self.config.environment.id} have {observations.shape[1]}: train it again, or use the version of "
                 "the environment that it learned in"
             )
-
-
-def load(path: str | Path, *, seed: int | None = None) -> GlobalPolicy:
-    """Load an exported policy, from its folder or from a run directory.
-
-    Args:
-        path: the folder or the run directory.
-        seed: of sampled actions; None for one from the operating system.
-
-    Raises:
-        PolicyError: if there is no policy, it is damaged, or of another format version.
-    """
-    folder, data, arrays = _read(Path(path))
-    found = data.get("format") if isinstance(data, dict) else None
-    if found != POLICY_FORMAT:
-        raise PolicyError(f"{folder}: policy format {found!r}; this program reads {POLICY_FORMAT}")
-    actors: dict[str, dict[str, NDArray[Any]]] = {}
-    for key, array in arrays.items():
-        pid, _, name = key.partition("/")
-        actors.setdefault(pid, {})[name] = array
-    try:
-        return _restored(data, actors, folder, seed)
-    except (ConfigError, LookupError, TypeError, ValueError) as error:
-        raise PolicyError(f"the policy in {folder} is damaged ({type(error).__name__}: {error})") from None
-
-
-def _restored(data: Mapping[str, Any], actors: ActorWeights, folder: Path, seed: int | None) -> GlobalPolicy:
-    return GlobalPolicy(
-        task_config(_acting_settings(data["task"]), source=str(folder)),
-        DFA.from_json(data["dfa"]),
-        Decomposition.from_json(data["decomposition"]),
-        [(q, pid, value) for q, pid, value in data["q_table"]],
-        actors,
-        np.array(data["rho"], np.float64).reshape(int(data["dfa"]["states"])),
-        mode=data.get("actions", "greedy"),
-        seed=seed,
-    )
-
-
-def _acting_settings(task: Mapping[str, Any]) -> dict[str, Any]:
-    """A task's settings without the sections of agents, which say how to train and change between versions."""
-    return {key: value for key, value in task.items() if key not in AGENTS.modules}
-
-
-def _read(path: Path) -> tuple[Path, Any, dict[str, NDArray[Any]]]:
-    """The export in ``path`` or in ``policy`` below it."""
-    try:
-        return read_export(path, path / "policy")
-    except FileNotFoundError:
-        raise PolicyError(
-            f"no policy in {path}; expected {POLICY_FILE} and {ACTORS_FILE} there or in {path / 'policy'}, where a run "
-            "exports its best policy after its first evaluation"
-        ) from None
-    except (OSError, ValueError) as error:
-        raise PolicyError(f"cannot read the policy in {path}: {error}") from None

@@ -12,8 +12,8 @@ from PIL import Image, ImageDraw, ImageFont
 
 from t4nmtd_dist.automata.acceptance import LAST
 from t4nmtd_dist.core.errors import EnvError
-from t4nmtd_dist.environments.restoring import with_snapshots
-from t4nmtd_dist.environments.single_env import EnvironmentCopy
+from t4nmtd_dist.environments.single_env import SingleEnv
+from t4nmtd_dist.environments.snapshot_choice import with_snapshots
 from t4nmtd_dist.environments.timed import ends_episode, remaining_share
 from t4nmtd_dist.policy.global_policy import GlobalPolicy
 
@@ -45,7 +45,7 @@ class Moment:
     outcome: str
 
 
-def open_for_recording(policy: GlobalPolicy) -> EnvironmentCopy:
+def open_for_recording(policy: GlobalPolicy) -> SingleEnv:
     """The policy's environment with ``render_mode="rgb_array"``.
 
     Raises:
@@ -53,22 +53,22 @@ def open_for_recording(policy: GlobalPolicy) -> EnvironmentCopy:
     """
     config = policy.config
     settings = with_snapshots(config.environment, config.propositions)
-    return EnvironmentCopy(settings, config.propositions, render_mode="rgb_array")
+    return SingleEnv(settings, config.propositions, render_mode="rgb_array")
 
 
-def play(policy: GlobalPolicy, copy: EnvironmentCopy, seed: int) -> Iterator[Moment]:
+def play(policy: GlobalPolicy, env: SingleEnv, seed: int) -> Iterator[Moment]:
     """One episode from the environment's own reset, with actions in the policy's own mode.
 
     Args:
         policy: what acts.
-        copy: the environment, as ``open_for_recording`` opens it.
+        env: the environment, as ``open_for_recording`` opens it.
         seed: of the reset and of sampled actions.
 
     Raises:
         EnvError: if the environment draws no pictures.
         PolicyError: if the policy learned from observations of another size.
     """
-    observation, q, labels, ended = copy.reset(seed), policy.dfa.initial, frozenset[str](), ""
+    observation, q, labels, ended = env.reset(seed), policy.dfa.initial, frozenset[str](), ""
     horizon, timed = policy.config.environment.horizon, LAST in policy.dfa.propositions
     sampling = np.random.default_rng([seed, 4]) if policy.mode == "sampled" else None
     for step in range(horizon + 1):
@@ -77,11 +77,11 @@ def play(policy: GlobalPolicy, copy: EnvironmentCopy, seed: int) -> Iterator[Mom
             seen = np.column_stack([seen, remaining_share(step, horizon)])
         policy.check_fits(seen)
         ended = ended or _outcome(policy, q, step)
-        yield Moment(_frame(copy), labels, q, None if ended else policy.subtask_of[q], step, ended)
+        yield Moment(_frame(env), labels, q, None if ended else policy.subtask_of[q], step, ended)
         if ended:
             return
-        done = copy.step(policy.actions(seen, np.array([q], np.int32), sampling)[0][0])
-        labels = frozenset(name for name, holds in zip(copy.propositions, done.labels, strict=True) if holds)
+        done = env.step(policy.actions(seen, np.array([q], np.int32), sampling)[0][0])
+        labels = frozenset(name for name, holds in zip(env.propositions, done.labels, strict=True) if holds)
         over = ends_episode(step + 1, horizon, terminated=done.terminated, truncated=done.truncated)
         observation, q = done.observation, policy.dfa.step(q, {*labels, LAST} if over else labels)
         if q not in policy.dfa.accepting | policy.dfa.error:
@@ -98,10 +98,10 @@ def _outcome(policy: GlobalPolicy, q: int, step: int) -> str:
     return "time is up" if step == policy.config.environment.horizon else ""
 
 
-def _frame(copy: EnvironmentCopy) -> Frame:
-    drawn = copy.render()
+def _frame(env: SingleEnv) -> Frame:
+    drawn = env.render()
     if not isinstance(drawn, np.ndarray) or drawn.ndim != 3 or drawn.shape[2] != 3 or drawn.dtype != np.uint8:
-        raise EnvError(f"{copy.env} drew {type(drawn).__name__}; expected an rgb_array, uint8 [height, width, 3]")
+        raise EnvError(f"{env.env} drew {type(drawn).__name__}; expected an rgb_array, uint8 [height, width, 3]")
     return drawn
 
 

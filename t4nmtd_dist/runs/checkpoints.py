@@ -24,7 +24,7 @@ from t4nmtd_dist.core.errors import RunError
 from t4nmtd_dist.core.state_dict import State, joined, plain_text, split
 from t4nmtd_dist.runs.array_file import array_file_parts
 
-FORMAT = 1
+FORMAT = 2
 KEPT = 3
 MANIFEST_FILE = "manifest.json"
 STATE_FILE = "state.json"
@@ -50,6 +50,10 @@ class Checkpoint:
 
 class _DamagedError(Exception):
     """A checkpoint that is not what its manifest says."""
+
+
+class _OtherFormatError(Exception):
+    """A checkpoint of another version of this program."""
 
 
 def write_checkpoint(folder: Path, about: Mapping[str, Any], state: Mapping[str, Any], *, keep: int = KEPT) -> Path:
@@ -159,6 +163,9 @@ def newest_checkpoint(folder: Path, fits: Callable[[State], bool], warn: Warn) -
         path = folder / _name(number)
         try:
             found = _read(path, fits)
+        except _OtherFormatError as error:
+            warn(f"checkpoint {path} was written by another version ({error}); going on without it")
+            continue
         except (_DamagedError, OSError) as error:
             warn(f"checkpoint {path} is damaged ({error}); going on from the one before it")
             continue
@@ -186,7 +193,7 @@ def _manifest(path: Path) -> dict[str, tuple[int, str]]:
     try:
         manifest = json.loads((path / MANIFEST_FILE).read_bytes())
         if manifest["format"] != FORMAT:
-            raise _DamagedError(f"format {manifest['format']!r}, expected {FORMAT}")
+            raise _OtherFormatError(f"format {manifest['format']!r}; this version reads {FORMAT}")
         return {name: (entry["size"], entry["sha256"]) for name, entry in manifest["files"].items()}
     except (ValueError, KeyError, TypeError, AttributeError) as error:
         raise _DamagedError(f"{MANIFEST_FILE}: {type(error).__name__}") from None

@@ -32,6 +32,8 @@ CHECKPOINTS_FOLDER = "checkpoints"
 LOCK_FILE = ".lock"
 VERSIONS_FILE = "versions.json"
 EVENTS_FILE = "events.jsonl"
+RUN_FORMAT = 2
+"""Of settings, counts and checkpoints together; a run of another format cannot be resumed. 1 was version 0.1.0."""
 ROUNDING_S = 0.001  # of times in the metrics
 LOCK_TRIES, LOCK_PAUSE_S = 5, 0.02
 FILES = {CONFIG_FILE, SUMMARY_FILE, ENDPOINTS_FILE, LOCK_FILE, VERSIONS_FILE, EVENTS_FILE, RESERVE_FILE}
@@ -42,6 +44,11 @@ def default_run_directory(task: str, seed: int) -> Path:
     """``runs/<task>/<utc>-s<seed>`` below the current folder."""
     stamp = datetime.now(UTC).strftime("%Y%m%dT%H%M%SZ")
     return Path("runs") / task / f"{stamp}-s{seed}"
+
+
+def real_path(run: Path) -> Path:
+    """The folder that a run directory is, where it is given by a link such as ``latest``, or as ``.``."""
+    return run.resolve() if run.is_symlink() or run.name in ("", "..") else run
 
 
 def write_atomically(path: Path, text: str) -> None:
@@ -113,7 +120,7 @@ class RunDirectory:
     """
 
     def __init__(self, path: Path, *, restart: bool = False, resume: bool = False) -> None:
-        self.path = path.resolve() if path.is_symlink() or path.name in ("", "..") else path  # `latest`, or `.`
+        self.path = real_path(path)
         self._lock: IO[bytes] | None = None
         try:
             self._prepare(restart, resume)
@@ -190,7 +197,7 @@ class RunDirectory:
 
     def write_settings(self, config: TaskConfig, seed: int, max_interactions: int) -> None:
         """Resolved settings and the versions of everything that computes."""
-        run = {"seed": seed, "max_interactions": max_interactions}
+        run = {"run_format": RUN_FORMAT, "seed": seed, "max_interactions": max_interactions}
         settings = {key: value for key, value in config.to_dict().items() if key != "max_interactions"}
         write_atomically(self.path / CONFIG_FILE, tomli_w.dumps({**settings, **run}))
         write_atomically(self.path / VERSIONS_FILE, json.dumps(versions(), indent=1))
@@ -205,10 +212,11 @@ class RunDirectory:
         _append(self.path / EVENTS_FILE, json.dumps({**line, "text": text}) + "\n")
 
     def append_metrics(self, name: str, row: Mapping[str, Any]) -> None:
-        """Append a row to ``metrics/<name>.csv``; the first row decides the columns."""
+        """Append a row to ``metrics/<name>.csv``; the first row decides the columns, also for a resumed run."""
         path, text = self.path / "metrics" / f"{file_name(name)}.csv", io.StringIO(newline="")
-        writer = csv.DictWriter(text, fieldnames=list(row))
-        if not path.exists() or not path.stat().st_size:
+        columns = _csv_columns(path)
+        writer = csv.DictWriter(text, columns or list(row), extrasaction="ignore")
+        if not columns:
             writer.writeheader()
         writer.writerow(row)
         _append(path, text.getvalue())
@@ -224,6 +232,15 @@ class RunDirectory:
             RunError: if the run has none.
         """
         return read_summary(self.path)
+
+
+def _csv_columns(path: Path) -> list[str]:
+    """The columns that a CSV file begins with; empty without a file."""
+    try:
+        with path.open(encoding="utf-8", newline="") as file:
+            return next(csv.reader(file), [])
+    except FileNotFoundError:
+        return []
 
 
 def _locked(file: IO[bytes]) -> bool:

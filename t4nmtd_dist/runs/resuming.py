@@ -9,13 +9,15 @@ from pathlib import Path
 
 import msgspec
 
-from t4nmtd_dist.core.config import TaskConfig, merge, read_toml, task_config
+from t4nmtd_dist.core.config import TaskConfig, task_config
 from t4nmtd_dist.core.errors import ConfigError, RunError
+from t4nmtd_dist.core.setting_sources import read_toml
 from t4nmtd_dist.core.state_dict import State
 from t4nmtd_dist.runs.counts import described, read_counts
 from t4nmtd_dist.runs.directory import (
     CHECKPOINTS_FOLDER,
     CONFIG_FILE,
+    RUN_FORMAT,
     SUMMARY_FILE,
     check_own_files,
     read_summary,
@@ -25,13 +27,6 @@ from t4nmtd_dist.runs.file_names import file_name
 
 IDENTITY_FILE = "run.json"
 CHECKPOINT_EVERY_S = 300.0
-UNLESS_WRITTEN: State = {
-    "acceptance": "first",
-    "decomposition": {"keep": "all", "time_limit": 600.0},
-    "evaluation": {"actions": "greedy"},
-    "learner": {"normalise_observations": "off"},
-}
-"""What runs did before there were these settings; compiling a task had no limit, so that it gets a generous one."""
 COORDINATOR, SERIAL = "coordinator", "serial"
 
 
@@ -92,7 +87,7 @@ def read_stopped_run(run: Path) -> StoppedRun:
     """The run in a directory.
 
     Raises:
-        RunError: if there is none, or it kept no checkpoints.
+        RunError: if there is none, it is of another version's format, or it kept no checkpoints.
     """
     run = run.resolve() if run.is_symlink() else run  # `latest`, which a resume points at the run
     _check_files(run)
@@ -100,8 +95,9 @@ def read_stopped_run(run: Path) -> StoppedRun:
         raise RunError(f"{run} holds no run to resume: there is no {CONFIG_FILE} in it")
     try:
         settings = read_toml(run / CONFIG_FILE)
+        _check_format(run, settings.pop("run_format", 1))
         seed = settings.pop("seed")
-        config = task_config(merge(UNLESS_WRITTEN, settings), source=str(run / CONFIG_FILE))
+        config = task_config(settings, source=str(run / CONFIG_FILE))
         told = json.loads((run / CHECKPOINTS_FOLDER / IDENTITY_FILE).read_text(encoding="utf-8"))
         identity = msgspec.convert(told, Identity)
     except FileNotFoundError:
@@ -109,6 +105,14 @@ def read_stopped_run(run: Path) -> StoppedRun:
     except (KeyError, ValueError, OSError, ConfigError) as error:
         raise RunError(f"{run} cannot be resumed: {error}") from None
     return _with_end(run, config, int(seed), identity)
+
+
+def _check_format(run: Path, found: object) -> None:
+    if found != RUN_FORMAT:
+        raise RunError(
+            f"{run} cannot be resumed: another version of T4NMTD-dist made it (run format {found!r}; this version "
+            f"resumes {RUN_FORMAT}). Its policy still loads (t4nmtd evaluate {run}); begin a new run to train further"
+        )
 
 
 def _with_end(run: Path, config: TaskConfig, seed: int, identity: Identity) -> StoppedRun:

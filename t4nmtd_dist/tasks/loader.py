@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import dataclasses
 import difflib
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable
 from importlib.resources import files
 from pathlib import Path
-from typing import Any
 
-from t4nmtd_dist.core.config import EnvironmentConfig, TaskConfig, merge, read_toml, settings_from_flags, task_config
+from t4nmtd_dist.core.config import EnvironmentConfig, TaskConfig, task_config
 from t4nmtd_dist.core.errors import ConfigError
+from t4nmtd_dist.tasks.layers import Layer, merged, setting_layers
 
 
 def task_names() -> list[str]:
@@ -30,12 +30,13 @@ def load_task(name: str, *, configs: Iterable[Path] = (), flags: Iterable[str] =
     Raises:
         ConfigError: for an unknown task, an unreadable file, or settings that ``task_config`` refuses.
     """
-    found = _find(name)
-    data: Mapping[str, Any] = read_toml(found)
-    for path in configs:
-        data = merge(data, read_toml(path))
-    task = task_config(merge(data, settings_from_flags(flags)), source=name)
-    return _with_path(task, found.parent) if name.endswith(".toml") else task
+    return from_layers(name, setting_layers(task_file(name), configs, flags))
+
+
+def from_layers(name: str, layers: Iterable[Layer]) -> TaskConfig:
+    """The settings of the task ``name`` as its layers say; see ``load_task``."""
+    task = task_config(merged(layers), source=name)
+    return _with_path(task, task_file(name).parent) if name.endswith(".toml") else task
 
 
 def is_bundled(task: TaskConfig) -> bool:
@@ -56,7 +57,12 @@ def _with_path(task: TaskConfig, folder: Path) -> TaskConfig:
     return dataclasses.replace(task, environment=dataclasses.replace(task.environment, path=path))
 
 
-def _find(name: str) -> Path:
+def task_file(name: str) -> Path:
+    """The file of a task, by its name or path.
+
+    Raises:
+        ConfigError: if no task has that name; suggests the nearest.
+    """
     if name.endswith(".toml"):
         return Path(name)
     known = task_names()

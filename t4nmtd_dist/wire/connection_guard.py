@@ -23,7 +23,7 @@ from t4nmtd_dist.wire.auth.handshake import Outcome, outcome_of
 from t4nmtd_dist.wire.connections import Connection, connection
 from t4nmtd_dist.wire.limits import Limits
 from t4nmtd_dist.wire.rate_limited_log import Tell
-from t4nmtd_dist.wire.sockets import MONITORED, Socket
+from t4nmtd_dist.wire.zmq_types import MONITORED, Socket
 
 WATCHED = MONITORED | zmq.EVENT_ACCEPTED | zmq.EVENT_CLOSED
 QUIET_MS, BUSY_MS = 20, 2

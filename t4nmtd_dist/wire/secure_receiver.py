@@ -15,7 +15,7 @@ from t4nmtd_dist.wire.connection_guard import ConnectionGuard
 from t4nmtd_dist.wire.connections import Connection, connection_of
 from t4nmtd_dist.wire.limits import CONNECTIONS_REMEMBERED, Limits, RateLimiter
 from t4nmtd_dist.wire.rate_limited_log import Notices, Tell
-from t4nmtd_dist.wire.sockets import Socket
+from t4nmtd_dist.wire.zmq_types import Socket
 
 
 @dataclass(frozen=True)

@@ -6,30 +6,15 @@ import ipaddress
 
 import zmq
 
-from t4nmtd_dist.core.errors import ConfigError, ProtocolError
+from t4nmtd_dist.core.errors import ConfigError
 from t4nmtd_dist.wire.auth.keys import ClientKeys, KeyPair
 from t4nmtd_dist.wire.codec import MAX_ARRAY_BYTES, Envelope, decode, encode
 from t4nmtd_dist.wire.endpoints import check_endpoint
+from t4nmtd_dist.wire.zmq_types import MONITORED, Context, Socket
 
 QUEUED_MESSAGES = 1000
 ENCRYPTION_BYTES = 64  # what CURVE adds to a frame, generously
 HANDSHAKE_MS = 10_000
-MONITORED = (
-    zmq.EVENT_CONNECTED
-    | zmq.EVENT_HANDSHAKE_SUCCEEDED
-    | zmq.EVENT_HANDSHAKE_FAILED_AUTH
-    | zmq.EVENT_HANDSHAKE_FAILED_PROTOCOL
-    | zmq.EVENT_HANDSHAKE_FAILED_NO_DETAIL
-    | zmq.EVENT_DISCONNECTED
-)
-
-Socket = zmq.Socket[bytes]
-Context = zmq.Context[Socket]
-
-
-def new_context() -> Context:
-    """A context of one's own (one per process)."""
-    return zmq.Context()
 
 
 def _prepare(context: Context, kind: int, frame_bytes: int = MAX_ARRAY_BYTES, queued: int = QUEUED_MESSAGES) -> Socket:
@@ -194,18 +179,3 @@ def receive(socket: Socket, timeout_s: float) -> Envelope | None:
     if not socket.poll(int(timeout_s * 1000)):
         return None
     return decode(socket.recv_multipart())
-
-
-def receive_from(socket: Socket) -> tuple[bytes, Envelope | ProtocolError] | None:
-    """The next message waiting at a ROUTER with its sender; None if there is none.
-
-    A malformed message comes back as the error that describes it, so that its sender can be told.
-    """
-    try:
-        peer, *frames = socket.recv_multipart(flags=zmq.NOBLOCK)
-    except zmq.Again:
-        return None
-    try:
-        return peer, decode(frames)
-    except ProtocolError as error:
-        return peer, error

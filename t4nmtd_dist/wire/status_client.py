@@ -11,7 +11,8 @@ from t4nmtd_dist.wire.auth.handshake import HandshakeMonitor, Outcome, trouble
 from t4nmtd_dist.wire.auth.keys import ClientKeys
 from t4nmtd_dist.wire.codec import Envelope
 from t4nmtd_dist.wire.messages import Failure, Notice, Status, StatusRequest
-from t4nmtd_dist.wire.sockets import Context, connect, receive, send
+from t4nmtd_dist.wire.sockets import connect, receive, send
+from t4nmtd_dist.wire.zmq_types import Context
 
 SENDER = "inquiry"
 POLL_S = 0.05

@@ -7,6 +7,7 @@ import math
 import msgpack
 
 from t4nmtd_dist.agents.weight_checks import NetworkSizes, expected_shapes
+from t4nmtd_dist.agents.weights import acting_part
 from t4nmtd_dist.core.errors import ConfigError
 from t4nmtd_dist.method.compiled import CompiledTask
 from t4nmtd_dist.wire.codec import MAX_ARRAY_BYTES, MAX_ARRAYS, MAX_HEADER_BYTES, MAX_MESSAGE_BYTES
@@ -39,9 +40,8 @@ def check_task_size(task: CompiledTask, most: int = MAX_HEADER_BYTES - REST_BYTE
 def _check_networks(task: CompiledTask) -> None:
     """Refuse networks whose weights fit into no message, however short observations and actions are."""
     shapes = expected_shapes(task.config, task.dfa.states, SMALLEST)
-    part = "average." if task.config.learner.algorithm == "sac" else "actor."
     sizes = {name: NUMBER_BYTES * math.prod(shape) for name, shape in shapes.items()}
-    acting = [size for name, size in sizes.items() if name.startswith(part)]
+    acting = [size for name, size in sizes.items() if name.startswith(f"{acting_part(sizes)}.")]
     pids = len(task.decomposition.pids)
     _refuse(task, max(sizes.values()) / 2**20, MAX_ARRAY_BYTES / 2**20, "MiB in one array")
     _refuse(task, len(sizes), MAX_ARRAYS, "arrays in the message of a learner")

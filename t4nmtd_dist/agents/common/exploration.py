@@ -15,14 +15,23 @@ HOLD_CHANCE = 0.1
 LONGEST_HOLD = 20
 
 
+def driven_share(share: float, success: float) -> float:
+    """Share of the attempts that exploration drives; it falls with the square of the share of attempts that fail.
+
+    Args:
+        share: of a learner without success.
+        success: share of the recent attempts that succeeded.
+    """
+    return share * (1.0 - success) ** 2
+
+
 class SinusoidExploration:
     """Some attempts are driven by sinusoids: per attempt one frequency (cycles a step), per action a random phase.
 
     Args:
         count: copies of the environment.
         action_size: A.
-        share: share of the attempts of a learner without success that are driven so; it falls to 0
-            with the square of the share of attempts that fail.
+        share: share of the attempts of a learner without success that are driven so (``driven_share``).
         rng: source of randomness.
     """
 
@@ -36,7 +45,7 @@ class SinusoidExploration:
     def begin(self, copies: Flags, success: float) -> None:
         """Decide for attempts that have just begun in ``copies`` whether they are driven."""
         rows = np.flatnonzero(copies)
-        self._driven[rows] = self._rng.random(len(rows)) < self._share * (1.0 - success) ** 2
+        self._driven[rows] = self._rng.random(len(rows)) < driven_share(self._share, success)
         self._frequency[rows] = self._rng.uniform(*FREQUENCIES, size=(len(rows), 1))
         self._phase[rows] = self._rng.uniform(0, 2 * np.pi, size=(len(rows), self._phase.shape[1]))
         self._time[rows] = 0
@@ -71,8 +80,7 @@ class HeldActionExploration:
     Args:
         count: copies of the environment.
         action_size: A.
-        share: share of the attempts of a learner without success that are interrupted; it falls to 0
-            with the square of the share of attempts that fail.
+        share: share of the attempts of a learner without success that are interrupted (``driven_share``).
         rng: source of randomness.
     """
 
@@ -85,7 +93,7 @@ class HeldActionExploration:
     def begin(self, copies: Flags, success: float) -> None:
         """Decide for attempts that have just begun in ``copies`` whether they are interrupted."""
         rows = np.flatnonzero(copies)
-        self._interrupted[rows] = self._rng.random(len(rows)) < self._share * (1.0 - success) ** 2
+        self._interrupted[rows] = self._rng.random(len(rows)) < driven_share(self._share, success)
         self._left[rows] = 0
 
     def drive(self, actions: NDArray[np.float32]) -> NDArray[np.float32]:
@@ -111,3 +119,41 @@ class HeldActionExploration:
 
     def _columns(self) -> dict[str, NDArray[Any]]:
         return {"interrupted": self._interrupted, "left": self._left, "held": self._held}
+
+
+class Exploration:
+    """Held actions, sinusoids, both or none, each in the same share of the attempts.
+
+    Each kind draws its attempts independently; where both fall on one attempt, the sinusoid drives it. A kind that is
+    not chosen has share 0 and draws random numbers all the same, so that they are the same for every choice.
+
+    Args:
+        kinds: ``held+sinusoid``, ``held``, ``sinusoid`` or ``none``.
+        share: of the attempts of a learner without success, for each kind (``driven_share``).
+        count: copies of the environment.
+        action_size: A.
+        rng: source of randomness.
+    """
+
+    def __init__(self, kinds: str, share: float, count: int, action_size: int, rng: np.random.Generator) -> None:
+        chosen = kinds.split("+")
+        self._sinusoid = SinusoidExploration(count, action_size, share if "sinusoid" in chosen else 0.0, rng)
+        self._held = HeldActionExploration(count, action_size, share if "held" in chosen else 0.0, rng)
+
+    def begin(self, copies: Flags, success: float) -> None:
+        """Decide for attempts that have just begun in ``copies`` how they are driven."""
+        self._sinusoid.begin(copies, success)
+        self._held.begin(copies, success)
+
+    def drive(self, actions: NDArray[np.float32]) -> NDArray[np.float32]:
+        """The actions [N, A] in [-1, 1] to take, given the policy's."""
+        return self._sinusoid.drive(self._held.drive(actions))
+
+    def state_dict(self) -> State:
+        """State of both kinds; the source of randomness is its owner's affair."""
+        return {"sinusoid": self._sinusoid.state_dict(), "held": self._held.state_dict()}
+
+    def load_state_dict(self, state: State) -> None:
+        """Go on from a ``state``."""
+        self._sinusoid.load_state_dict(state["sinusoid"])
+        self._held.load_state_dict(state["held"])

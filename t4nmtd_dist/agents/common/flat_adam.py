@@ -13,7 +13,7 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor, nn
 
-from t4nmtd_dist.agents.common.networks import Weights
+from t4nmtd_dist.agents.weights import Weights
 
 BETA1, BETA2 = 0.9, 0.999
 

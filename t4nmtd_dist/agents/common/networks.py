@@ -1,4 +1,4 @@
-"""Small networks over the product state: the observation and a one-hot of the DFA state."""
+"""Small torch networks over product states, and their weights as arrays."""
 
 from __future__ import annotations
 
@@ -8,11 +8,10 @@ from typing import Any
 import numpy as np
 import torch
 from numpy.typing import NDArray
-from torch import Tensor, nn
+from torch import nn
 
-from t4nmtd_dist.core.errors import PolicyError, ProtocolError
-
-Weights = dict[str, NDArray[Any]]
+from t4nmtd_dist.agents.weights import Weights
+from t4nmtd_dist.core.errors import PolicyError
 
 
 def mlp(inputs: int, hidden: Sequence[int], outputs: int, *, last_gain: float) -> nn.Sequential:
@@ -31,35 +30,9 @@ def _linear(inputs: int, outputs: int, gain: float) -> nn.Linear:
     return layer
 
 
-def product_state(observations: NDArray[np.float32], q: NDArray[np.int32], dfa_states: int) -> Tensor:
-    """Network input: float32 [N, d + |Q|], the observation followed by the one-hot of q."""
-    rows = len(observations)
-    joined = np.zeros((rows, observations.shape[1] + dfa_states), dtype=np.float32)
-    joined[:, : observations.shape[1]] = observations
-    joined[np.arange(rows), observations.shape[1] + q] = 1.0
-    return torch.from_numpy(joined)
-
-
 def weights_of(module: nn.Module) -> Weights:
     """Copies of a module's parameters as numpy arrays by name."""
     return {name: tensor.detach().cpu().numpy().copy() for name, tensor in module.state_dict().items()}
-
-
-def part_of(arrays: Mapping[str, NDArray[Any]], part: str) -> Weights:
-    """The arrays named ``part.*``, without that prefix."""
-    prefix = part + "."
-    return {name.removeprefix(prefix): array for name, array in arrays.items() if name.startswith(prefix)}
-
-
-def check_finite(weights: Mapping[str, NDArray[Any]]) -> None:
-    """Check weights that came from elsewhere.
-
-    Raises:
-        ProtocolError: if they are not all finite.
-    """
-    for name, array in weights.items():
-        if not np.isfinite(array).all():
-            raise ProtocolError(f"weights are expected to be finite; {name} is not")
 
 
 def load_weights(module: nn.Module, weights: Mapping[str, NDArray[Any]]) -> None:

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from t4nmtd_dist.agents.common.networks import Weights, part_of
+from t4nmtd_dist.agents.weights import Weights, part_of
 from t4nmtd_dist.core.errors import PolicyError
 from t4nmtd_dist.environments.batched import Observations
 

@@ -222,7 +222,7 @@ class Experience:
         row = rows.copy()
         for _ in range(n):
             reached = delta[q, self.symbols[row]]
-            gained = tables.reward[q, reached] - np.where(self.terminated[row], tables.carried_potential[reached], 0.0)
+            gained = tables.transition_rewards(q, reached, self.terminated[row])
             reward += np.where(going, discount * gained, 0.0)
             discount = np.where(going, discount * gamma, discount)
             last, q_next = np.where(going, row, last), np.where(going, reached, q_next)
@@ -231,7 +231,7 @@ class Experience:
             if not going.any():
                 break
             row = np.where(going, (row + self._count) % len(self.q), row)
-        terminal = tables.terminal[q_next] | self.terminated[last]
+        terminal = tables.terminals(q_next, self.terminated[last])
         return Returns(reward, np.where(terminal, 0.0, discount), last, q_next, (q_next != q) & ~terminal)
 
     def state_dict(self) -> dict[str, NDArray[Any]]:

@@ -1,8 +1,7 @@
-"""Attempts at one sub-task in N copies of the environment (paper, Algorithm 2, lines 1 to 10, without learning)."""
+"""The rollout of one role in N copies of the environment (paper, Algorithm 2, without learning)."""
 
 from __future__ import annotations
 
-from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import Any
@@ -10,22 +9,18 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from t4nmtd_dist.agents.common.attempt_statistics import AttemptStatistics
+from t4nmtd_dist.agents.common.restarts import Restarts
 from t4nmtd_dist.core.errors import EnvError
 from t4nmtd_dist.core.state_dict import State, stacked
 from t4nmtd_dist.environments.batched import BatchedEnv, Observations, Rows
-from t4nmtd_dist.method.rewards import SubtaskTables, SymbolReader
-from t4nmtd_dist.method.start_states import InitialStateBuffer, StartState, sample_starts
-
-NO_TARGET = -1
-RECENT_ATTEMPTS = 100
-MOST_FAILURES = 50
-
-Mask = NDArray[np.bool_]
-States = NDArray[np.int32]
+from t4nmtd_dist.method.protocol import NO_TARGET, Change, Ending, Mask, Method, States
+from t4nmtd_dist.method.rewards import SymbolReader
+from t4nmtd_dist.method.start_states import InitialStateBuffer
 
 
 @dataclass(frozen=True)
-class AttemptStep:
+class RolloutStep:
     """One step of all N copies, as experience <s, q, a, reward, s', q'>.
 
     Attributes:
@@ -53,128 +48,62 @@ class AttemptStep:
 
 @dataclass
 class Progress:
-    """What the coordinator must hear of: DFA changes, failed attempts, and start states for others.
+    """What the coordinator must hear of: DFA changes and failed attempts in order, and start states for others.
 
     Attributes:
-        changes: (q, q' or NO_TARGET, steps since q was entered, shaped reward), in order.
-        starts: (q', snapshot) of reached targets.
+        starts: (q', snapshot) of states that are handed over.
     """
 
-    changes: list[tuple[int, int, int, float]] = field(default_factory=list)
+    changes: list[Change] = field(default_factory=list)
     starts: list[tuple[int, NDArray[Any]]] = field(default_factory=list)
 
 
-@dataclass
-class Endings:
-    """How attempts without success have ended: in an error state, with the environment, or by lack of time."""
+class Rollout:
+    """N copies of the environment, each always within an attempt of one role.
 
-    errors: int = 0
-    terminated: int = 0
-    timeouts: int = 0
-
-
-class Attempts:
-    """N copies of the environment, each always within an attempt at the sub-task.
+    Where the method lets another role continue (``Ending.CHOOSE``), the role's part is over and the copy restarts.
 
     Args:
         env: the copies; every one of their steps is counted in ``interactions``, replayed ones too.
         reader: symbols of the DFA from the environment's labels.
-        tables: the sub-task.
-        delta: the DFA's transition table, int32 [Q, symbols].
-        buffer: where attempts begin.
-        reset_q: the initial DFA state if the sub-task is available there, else None.
-        attempt_steps: steps after which an attempt is cut.
-        hand_over_all: hand states over after every change of the DFA state, not only after targets.
+        method: says where attempts start and end, and what is handed over.
+        role: the name of the role that acts.
+        buffer: its start states.
         rng: source of randomness.
 
     Attributes:
+        observations: float32 [N, d] now.
+        q: DFA states int32 [N] now.
+        statistics: of attempts.
+        interactions: environment steps.
         pulse: called before every step, and by learners between the parts of a long update: a sign of life.
-        tell: called with a line about the first start state that cannot be restored.
     """
 
     def __init__(
         self,
         env: BatchedEnv,
         reader: SymbolReader,
-        tables: SubtaskTables,
-        delta: NDArray[np.int32],
+        method: Method,
+        role: str,
         buffer: InitialStateBuffer,
-        *,
-        reset_q: int | None,
-        attempt_steps: int,
-        hand_over_all: bool,
         rng: np.random.Generator,
     ) -> None:
-        self._env, self._reader, self._tables, self._delta = env, reader, tables, delta
-        self._buffer, self._reset_q, self._attempt_steps, self._rng = buffer, reset_q, attempt_steps, rng
+        self._env, self._reader, self._method, self._rng = env, reader, method, rng
+        self._role = method.role(role)
+        self._restarts = Restarts(env, buffer, lambda count: method.starts(role, buffer, count, rng), rng.spawn(1)[0])
         self.observations: Observations = np.zeros((env.count, env.observation_size), dtype=np.float32)
         self.q: States = np.zeros(env.count, dtype=np.int32)
         self._steps = np.zeros(env.count, dtype=np.int32)
         self._steps_in_q = np.zeros(env.count, dtype=np.int32)
-        self._hand_over_all = hand_over_all
-        self._seeds = rng.spawn(1)[0]
-        self._seeded = np.zeros(env.count, dtype=np.bool_)
         self._begun = False
         self.pulse: Callable[[], None] = lambda: None
-        self.tell: Callable[[str], None] = print
-        self._told = False
-        self._failures = 0  # to restore a start state, in a row
-        self._restored: StartState | None = None
         self.progress = Progress()
         self.interactions = 0
-        self.attempts = 0
-        self.successes = 0
-        self.endings = Endings()
-        self._recent: deque[tuple[bool, int]] = deque(maxlen=RECENT_ATTEMPTS)
+        self.statistics = AttemptStatistics()
 
-    @property
-    def recent_success(self) -> float | None:
-        """Share of the last attempts that reached a target; None before the first ended."""
-        return float(np.mean([success for success, _ in self._recent])) if self._recent else None
-
-    @property
-    def recent_length(self) -> float | None:
-        """Mean length of the last attempts in steps."""
-        return float(np.mean([steps for _, steps in self._recent])) if self._recent else None
-
-    def state_dict(self) -> State:
-        """Everything that decides how the attempts go on, and all counts, for a checkpoint."""
-        progress = self.progress
-        return {
-            "columns": {name: column.copy() for name, column in self._columns().items()},
-            "begun": self._begun,
-            "env": self._env.state_dict() if self._begun else None,
-            "rng": self._rng.bit_generator.state,
-            "seeds": self._seeds.bit_generator.state,
-            "counts": [self.interactions, self.attempts, self.successes, *vars(self.endings).values()],
-            "recent": list(self._recent),
-            "changes": list(progress.changes),
-            "starts": {"q": [q for q, _ in progress.starts], "states": stacked([s for _, s in progress.starts])},
-        }
-
-    def load_state_dict(self, state: State) -> None:
-        """Go on from a ``state`` of attempts at the same sub-task in as many copies."""
-        for name, column in self._columns().items():
-            column[:] = state["columns"][name]
-        self._begun = state["begun"]
-        if self._begun:
-            self._env.load_state_dict(state["env"])
-        self._rng.bit_generator.state, self._seeds.bit_generator.state = state["rng"], state["seeds"]
-        self.interactions, self.attempts, self.successes, *endings = state["counts"]
-        self.endings = Endings(*endings)  # those of an earlier version are not known
-        self._recent.clear()
-        self._recent.extend((success, steps) for success, steps in state["recent"])
-        starts = list(zip(state["starts"]["q"], state["starts"]["states"], strict=True))
-        self.progress = Progress([(q, to, steps, reward) for q, to, steps, reward in state["changes"]], starts)
-
-    def _columns(self) -> dict[str, NDArray[Any]]:
-        return {
-            "observations": self.observations,
-            "q": self.q,
-            "steps": self._steps,
-            "steps_in_q": self._steps_in_q,
-            "seeded": self._seeded,
-        }
+    def report_to(self, tell: Callable[[str], None]) -> None:
+        """Tell ``tell`` of the first start state that cannot be restored."""
+        self._restarts.tell = tell
 
     def take_progress(self) -> Progress:
         """What happened since the last call."""
@@ -187,145 +116,121 @@ class Attempts:
             self._begun = self._start(np.arange(self._env.count))
         return self._begun
 
-    def _start(self, rows: Rows) -> bool:
-        """Begin an attempt in each of these copies; False if there is nowhere to begin."""
-        starts = list(sample_starts(self._buffer, self._reset_q, len(rows), self._rng))
-        if not starts:
-            return False
-        fresh = np.array([start.state is None for start in starts])
-        self._reset(rows[fresh])
-        if not self._restore(rows, starts, np.flatnonzero(~fresh)):
-            return False
-        self.q[rows] = [start.q for start in starts]
-        self._steps[rows] = 0
-        self._steps_in_q[rows] = 0
-        return True
-
-    def _reset(self, rows: Rows) -> None:
-        """The environment's own reset; a copy's first one seeds its random generator."""
-        for part, seeds in ((rows[~self._seeded[rows]], True), (rows[self._seeded[rows]], False)):
-            if len(part):
-                seed = int(self._seeds.integers(2**31)) if seeds else None
-                self.observations[part] = self._env.reset(part, seed)
-                self._seeded[part] = True
-
-    def _restore(self, rows: Rows, starts: list[StartState], places: Rows) -> bool:
-        """Restore the copies ``rows[places]`` from their starts; one that cannot be is replaced in ``starts``.
-
-        Returns:
-            False if none is left to replace it.
+    def step(self, actions: NDArray[Any]) -> RolloutStep:
+        """Act in every copy, move the DFA, and begin again where an attempt is over.
 
         Raises:
-            EnvError: if one after another cannot be restored: it is the environment that fails.
+            EnvError: if no attempt can begin any more.
         """
-        if not len(places):
-            return True
-        before = self._env.replayed
-        try:
-            self._restore_all(rows[places], [starts[place] for place in places])
-            return True
-        except Exception:  # whatever an environment makes of a state from elsewhere
-            return all(self._restore_one(rows, starts, place) for place in places)
-        finally:
-            self.interactions += self._env.replayed - before
-
-    def _restore_all(self, rows: Rows, starts: list[StartState]) -> None:
-        observations = self._env.restore(rows, [start.state for start in starts if start.state is not None])
-        if not np.isfinite(observations).all():
-            raise EnvError("its observation holds NaN or infinity")
-        self.observations[rows] = observations
-        self._failures, self._restored = 0, starts[-1]
-
-    def _restore_one(self, rows: Rows, starts: list[StartState], place: int) -> bool:
-        row = rows[place : place + 1]
-        while starts[place].state is not None:
-            try:
-                self._restore_all(row, [starts[place]])
-                return True
-            except Exception as error:
-                self._drop(starts[place], error)
-            another = next(iter(sample_starts(self._buffer, self._reset_q, 1, self._rng)), self._restored)
-            if another is None:
-                return False
-            starts[place] = another
-        self._reset(row)
-        return True
-
-    def _drop(self, start: StartState, error: Exception) -> None:
-        """Do without a start state; the first is told of."""
-        self._failures += 1
-        if self._failures >= MOST_FAILURES:
-            raise EnvError(
-                f"{self._failures} start states in a row could not be restored, the last for {type(error).__name__}: "
-                f"{error}; mend how the environment restores states (t4nmtd check), or choose another way (snapshots)"
-            ) from error
-        if start.state is not None:
-            self._buffer.remove(start.q, start.state)
-        if not self._told:
-            self._told = True
-            self.tell(f"a start state of DFA state {start.q} is dropped, for it cannot be restored: {error}")
-
-    def step(self, actions: NDArray[Any]) -> AttemptStep:
-        """Act in every copy, move the DFA, and begin again where an attempt is over."""
         self.pulse()
-        tables, q = self._tables, self.q
+        step = self._transition(actions)
+        self._report_changes(step)
+        self._count_endings(step)
+        self._hand_over(step)
+        self.observations[:] = step.next_observations
+        self.q = step.q_next.copy()  # restarts write into it; the step keeps its own
+        self._steps_in_q[step.changed] = 0
+        if step.ended.any() and not self._start(np.flatnonzero(step.ended)):
+            raise EnvError("no attempt can begin any more: no start state that there was could be restored")
+        return step
+
+    def _transition(self, actions: NDArray[Any]) -> RolloutStep:
+        """<s, q, a> -> <r, s', q'>, and whether it ends the attempt."""
+        tables, q = self._role.tables, self.q
         env_step = self._env.step(actions)
         self.interactions += self._env.count
         self._steps += 1
         self._steps_in_q += 1
         symbols = self._reader.symbols(env_step.labels)
-        q_next = self._delta[q, symbols]
-        changed = q_next != q
-        reached = tables.target[q, q_next]
-        terminal = tables.terminal[q_next] | env_step.terminated
-        stranded = changed & ~tables.available[q_next]
-        timed_out = env_step.truncated | (self._steps >= self._attempt_steps)
-        ended = reached | terminal | stranded | timed_out
-        reward = tables.reward[q, q_next] - np.where(env_step.terminated, tables.carried_potential[q_next], 0.0)
-        result = AttemptStep(
-            reward=reward,
+        q_next = self._reader.delta[q, symbols]
+        terminal = tables.terminals(q_next, env_step.terminated)
+        ending = self._method.ends(self._role.name, q, q_next, self._steps)
+        return RolloutStep(
+            reward=tables.transition_rewards(q, q_next, env_step.terminated),  # Algorithm 2, lines 7 to 9
             next_observations=env_step.observations.copy(),
             q_next=q_next,
-            changed=changed,
+            changed=q_next != q,
             terminal=terminal,
-            ended=ended,
+            ended=(ending != Ending.KEEP) | terminal | env_step.truncated,
             symbols=symbols,
             terminated=env_step.terminated,
-            reached=reached,
+            reached=tables.target[q, q_next],
         )
-        self._note(result)
-        self.observations[:] = env_step.observations
-        self.q = q_next.copy()  # restarts write into it; the experience keeps its own
-        self._steps_in_q[changed] = 0
-        if ended.any() and not self._start(np.flatnonzero(ended)):
-            raise EnvError("no attempt can begin any more: no start state that there was could be restored")
-        return result
 
-    def _note(self, step: AttemptStep) -> None:
-        told = step.changed | step.ended
-        if not told.any():
-            return
-        counts = step.changed & ~(step.terminal & ~self._tables.terminal[step.q_next])  # no way on: no progress
-        for row in np.flatnonzero(told):
-            q_next = int(step.q_next[row]) if counts[row] else NO_TARGET
-            reward = float(step.reward[row]) if counts[row] else 0.0
-            self.progress.changes.append((int(self.q[row]), q_next, int(self._steps_in_q[row]), reward))
+    def _report_changes(self, step: RolloutStep) -> None:
+        """Every change of the DFA state and every end of an attempt, for the update of Q."""
+        for row in np.flatnonzero(step.changed | step.ended):
+            lost = step.terminal[row] and not self._role.tables.terminal[step.q_next[row]]  # no way on: no progress
+            counts = bool(step.changed[row] and not lost)
+            q_next, reward = (int(step.q_next[row]), float(step.reward[row])) if counts else (NO_TARGET, 0.0)
+            self.progress.changes.append(Change(int(self.q[row]), q_next, int(self._steps_in_q[row]), reward))
+
+    def _count_endings(self, step: RolloutStep) -> None:
         for row in np.flatnonzero(step.ended):
-            self._recent.append((bool(step.reached[row]), int(self._steps[row])))
-        self.attempts += int(step.ended.sum())
-        self.successes += int(step.reached.sum())
-        self._count_endings(step)
-        handed = np.flatnonzero((step.changed if self._hand_over_all else step.reached) & ~step.terminal)
-        if len(handed):
-            states = self._env.snapshot(handed)
-            self.progress.starts += [(int(step.q_next[r]), s) for r, s in zip(handed, states, strict=True)]
-
-    def _count_endings(self, step: AttemptStep) -> None:
+            self.statistics.add(bool(step.reached[row]), int(self._steps[row]))
         failed = step.ended & ~step.reached
         if failed.any():
-            errors = failed & self._tables.error[step.q_next]
-            terminated = failed & step.terminated & ~errors
-            stranded = step.changed & ~self._tables.available[step.q_next]
-            self.endings.errors += int(errors.sum())
-            self.endings.terminated += int(terminated.sum())
-            self.endings.timeouts += int((failed & ~step.terminal & ~stranded).sum())
+            errors = failed & self._role.tables.error[step.q_next]
+            stranded = self._role.stranded(self.q, step.q_next)
+            endings = self.statistics.endings
+            endings.errors += int(errors.sum())
+            endings.terminated += int((failed & step.terminated & ~errors).sum())
+            endings.timeouts += int((failed & ~step.terminal & ~stranded).sum())
+
+    def _hand_over(self, step: RolloutStep) -> None:
+        """Snapshots of the states from which another attempt may start."""
+        handed = np.flatnonzero(self._method.hands_over(self._role.name, self.q, step.q_next) & ~step.terminal)
+        if len(handed):
+            states = self._env.snapshot(handed)
+            self.progress.starts += [(int(step.q_next[row]), s) for row, s in zip(handed, states, strict=True)]
+
+    def _start(self, rows: Rows) -> bool:
+        """Begin an attempt in each of these copies; False if there is nowhere to begin."""
+        before = self._env.replayed
+        try:
+            starts = self._restarts.begin(rows, self.observations)
+        finally:
+            self.interactions += self._env.replayed - before
+        if starts:
+            self.q[rows] = [start.q for start in starts]
+            self._steps[rows] = 0
+            self._steps_in_q[rows] = 0
+        return bool(starts)
+
+    def state_dict(self) -> State:
+        """Everything that decides how the attempts go on, and all counts, for a checkpoint."""
+        progress = self.progress
+        return {
+            "columns": {name: column.copy() for name, column in self._columns().items()},
+            "begun": self._begun,
+            "env": self._env.state_dict() if self._begun else None,
+            "rng": self._rng.bit_generator.state,
+            "seeds": self._restarts.rng.bit_generator.state,
+            "counts": [self.interactions, *self.statistics.counts],
+            "recent": self.statistics.recent,
+            "changes": list(progress.changes),
+            "starts": {"q": [q for q, _ in progress.starts], "states": stacked([s for _, s in progress.starts])},
+        }
+
+    def load_state_dict(self, state: State) -> None:
+        """Go on from a ``state`` of a rollout of the same role in as many copies."""
+        for name, column in self._columns().items():
+            column[:] = state["columns"][name]
+        self._begun = state["begun"]
+        if self._begun:
+            self._env.load_state_dict(state["env"])
+        self._rng.bit_generator.state = state["rng"]
+        self._restarts.rng.bit_generator.state = state["seeds"]
+        self.interactions, *counts = state["counts"]
+        self.statistics.load(counts, state["recent"])
+        starts = list(zip(state["starts"]["q"], state["starts"]["states"], strict=True))
+        self.progress = Progress([Change(*change) for change in state["changes"]], starts)
+
+    def _columns(self) -> dict[str, NDArray[Any]]:
+        return {
+            "observations": self.observations,
+            "q": self.q,
+            "steps": self._steps,
+            "steps_in_q": self._steps_in_q,
+            "seeded": self._restarts.seeded,
+        }

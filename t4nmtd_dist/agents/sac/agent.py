@@ -4,37 +4,40 @@ from __future__ import annotations
 
 import itertools
 import math
-from collections import deque
-from collections.abc import Mapping
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from t4nmtd_dist.agents.actors import scaled
-from t4nmtd_dist.agents.common.exploration import HeldActionExploration, SinusoidExploration
-from t4nmtd_dist.agents.common.networks import Weights
-from t4nmtd_dist.agents.common.normalisation import Normalisation
-from t4nmtd_dist.agents.common.peer_values import PeerCritics, Values
-from t4nmtd_dist.agents.common.replay_buffer import Experience
-from t4nmtd_dist.agents.common.rollout import Attempts
-from t4nmtd_dist.agents.sac.batches import BatchSource, DrawnBatch, product_states
+from t4nmtd_dist.agents.common.action_bounds import scaled
+from t4nmtd_dist.agents.common.batches import Batch
+from t4nmtd_dist.agents.common.context import AgentContext
+from t4nmtd_dist.agents.common.exploration import Exploration
+from t4nmtd_dist.agents.common.off_policy import OffPolicyLearner
+from t4nmtd_dist.agents.common.peer_values import PeerValues, Values
+from t4nmtd_dist.agents.sac.config import SACConfig
 from t4nmtd_dist.agents.sac.fast_cpu.update import SACUpdater
-from t4nmtd_dist.agents.sac.interface import PeerSoftValues, SACSettings
-from t4nmtd_dist.agents.sac.published import PublishedSoftCritic
-from t4nmtd_dist.agents.sac.torch_update import updater_on
-from t4nmtd_dist.core.config import LearnerConfig, SACConfig
-from t4nmtd_dist.core.devices import Device
+from t4nmtd_dist.agents.sac.soft_critic import SoftCritic
+from t4nmtd_dist.agents.sac.torch_update import TorchSACUpdater
+from t4nmtd_dist.agents.sac.updater import PeerSoftValues, SACSettings, SoftActorCritic
+from t4nmtd_dist.agents.weights import Arrays, Weights
+from t4nmtd_dist.core.config import LearnerConfig
 from t4nmtd_dist.core.state_dict import State
-from t4nmtd_dist.environments.action_spaces import Bounds
-from t4nmtd_dist.environments.batched import Observations
-from t4nmtd_dist.method.high_level import QTable
-from t4nmtd_dist.method.rewards import TARGET_REWARD, SubtaskTables
-
-BATCHES_AHEAD = 16  # twice what shares a request: the other half is the time that peers have to answer
+from t4nmtd_dist.method.rewards import TARGET_REWARD
 
 Floats = NDArray[np.float32]
-States = NDArray[np.int32]
+
+
+def build(context: AgentContext) -> OffPolicyLearner:
+    """See ``protocol.AgentBuilder``."""
+    config, rng = context.task.config.agent, context.rng()
+    return OffPolicyLearner(context, config, SAC(context, config, rng), rng)
+
+
+def updater_on(device: str, state_size: int, action_size: int, settings: SACSettings, seed: int) -> SoftActorCritic:
+    """SAC for a device: the hand-written one on the CPU, plain torch anywhere else."""
+    if device == "cpu":
+        return SACUpdater(state_size, action_size, settings, seed)
+    return TorchSACUpdater(state_size, action_size, settings, seed, device)
 
 
 def modest_alpha(config: LearnerConfig, action_size: int) -> float:
@@ -47,113 +50,80 @@ def modest_alpha(config: LearnerConfig, action_size: int) -> float:
     return TARGET_REWARD * config.reward_scale / (horizon * action_size * math.log(2.0))
 
 
-class SACLearner:
-    """Acts in all attempts of a sub-task and learns from a replay of them.
+class SAC:
+    """``OffPolicyAgent`` by soft actor-critic.
 
     Args:
-        pid: the sub-task.
-        attempts: N copies of the environment within attempts.
-        tables: the sub-task, to read experience for any of its DFA states.
-        delta: the DFA's transition table, int32 [Q, symbols].
-        config: settings shared by all learners.
-        sac: settings of SAC.
-        high_level: a copy of the coordinator's Q table, for E(Q, q').
-        bounds: lowest and highest actions of the environment, float32 [A] each; the actor's [-1, 1] is scaled to them.
-        seed: seeds networks and sampling.
-        peers: how many other sub-tasks there are.
-        device: where the networks are trained; what answers peers is on the CPU.
-        normalised: which numbers of an observation are normalised, bool [d]; None for none.
+        context: the sub-task and its environments.
+        config: settings of SAC.
+        rng: of exploration.
+
+    Attributes:
+        updater: the networks, and their gradient step.
     """
 
-    def __init__(
-        self,
-        pid: str,
-        attempts: Attempts,
-        tables: SubtaskTables,
-        delta: NDArray[np.int32],
-        config: LearnerConfig,
-        sac: SACConfig,
-        high_level: QTable,
-        *,
-        bounds: Bounds,
-        seed: int,
-        peers: int = 0,
-        device: Device = "cpu",
-        normalised: NDArray[np.bool_] | None = None,
-    ) -> None:
-        self.pid, self.attempts = pid, attempts
-        self._delta, self._sac = delta, sac
-        self._rng = np.random.default_rng([seed, 1])
-        self._low, self._high = bounds
-        count, self._observation_size = attempts.observations.shape
-        action_size = len(self._low)
-        size = self._observation_size
-        self._normalisation = Normalisation(np.zeros(size, np.bool_) if normalised is None else normalised)
-        self.experience = Experience(sac.replay_rows // count, count, self._observation_size, action_size)
-        kept_of_each = max(1, self.experience.steps // max(1, peers))  # of all peers together what the own replay holds
-        self.peer_steps = kept_of_each if sac.peer_share else 0
-        self.batches = BatchSource(pid, self.experience, tables, delta, config, sac, high_level, self._rng)
-        self._waves = SinusoidExploration(count, action_size, sac.wave_share, self._rng)
-        self._holds = HeldActionExploration(count, action_size, sac.hold_share, self._rng)
-        self._initial_alpha = sac.initial_alpha or modest_alpha(config, action_size)
+    value_shape: tuple[int, ...] = (2,)
+    """(min of the target critics, log pi) of the own actor's action."""
+
+    def __init__(self, context: AgentContext, config: SACConfig, rng: np.random.Generator) -> None:
+        self._config, self._inputs = config, context.inputs
+        self._low, self._high = context.action_bounds()
+        self.action_size = len(self._low)
+        count = len(context.rollout.observations)
+        self._exploration = Exploration(config.exploration, config.exploration_share, count, self.action_size, rng)
+        self._initial_alpha = config.initial_alpha or modest_alpha(context.settings, self.action_size)
         settings = SACSettings(
-            learning_rate=sac.learning_rate,
-            tau=sac.tau,
-            actor_average=sac.actor_average,
+            learning_rate=config.learning_rate,
+            tau=config.tau,
+            actor_average=config.actor_average,
             initial_alpha=self._initial_alpha,
-            layer_norm=sac.layer_norm,
-            hidden=config.hidden,
+            layer_norm=config.layer_norm,
+            hidden=context.settings.hidden,
         )
-        self.updater = updater_on(device, self._observation_size + len(delta), action_size, settings, seed)
-        self._noise_seeds = itertools.count(seed + 1)
-        self.published = self.replica()
-        self._owed = 0.0
-        self._ahead: deque[DrawnBatch] = deque()
-        self._asked = 0  # batches of smaller numbers have been asked about
-        self._fresh = np.ones(count, np.bool_)
+        self.updater = updater_on(context.device, self._inputs, self.action_size, settings, context.seed)
+        self._noise_seeds = itertools.count(context.seed + 1)
         self._earlier_losses: tuple[float | None, float | None] = (None, None)
-        self.value_shape: tuple[int, ...] = (2,)
-        self.gradient_steps = 0
-        self.version = 0
 
-    def critic_values(self, observations: Observations, q: States) -> Values:
-        """(min of the target critics, log pi) of the own actor's action at product states, float32 [k, 2]."""
-        values, log_probs = self.updater.soft_values(self._states(observations, q))
-        return np.stack([values, log_probs], axis=1)
+    def act(self, states: Floats, begun: NDArray[np.bool_], success: float) -> Floats:
+        """See ``OffPolicyAgent.act``; actions within [-1, 1]."""
+        self._exploration.begin(begun, success)
+        return self._exploration.drive(self.updater.act(states, deterministic=False))
 
-    def _states(self, observations: Observations, q: States) -> Floats:
-        """Product states, with observations normalised."""
-        return product_states(self._normalisation.apply(observations), q, len(self._delta))
+    def environment_actions(self, actions: Floats) -> Floats:
+        """See ``OffPolicyAgent.environment_actions``."""
+        return scaled(actions, self._low, self._high)
 
-    def replica(self) -> PublishedSoftCritic:
-        """A network of the same shape, with weights of its own, to be loaded with those of a peer."""
-        inputs, actions = self._observation_size + len(self._delta), len(self._low)
-        copy = SACUpdater(inputs, actions, self.updater.settings, next(self._noise_seeds))
-        return PublishedSoftCritic(copy, self._observation_size, len(self._delta), self._normalisation.alike())
+    def update(self, batch: Batch, answers: PeerValues, success: float) -> None:
+        """See ``OffPolicyAgent.update``.
 
-    @property
-    def peer_rows(self) -> int:
-        """See ``Learner.peer_rows``."""
-        return sum(map(len, self.batches.peers_experience()))
+        A learner that fails goes on exploring: its entropy coefficient falls with its failures, not before them.
+        """
+        config = self._config
+        values, log_probs = answers.values.reshape(-1, 2).T
+        self.updater.scale_learning_rate(1.0 - config.learning_rate_decay * success**2)
+        self.updater.update(batch, PeerSoftValues(answers.rows, values, log_probs))
+        self.updater.keep_alpha_above(self._initial_alpha * config.alpha_floor * (1.0 - success) ** 2)
 
-    def learn_from(self, others: Mapping[str, Experience]) -> None:
-        """See ``Learner.learn_from``."""
-        self.batches.others = others
+    def values(self, states: Floats) -> Values:
+        """See ``OffPolicyAgent.values``; float32 [k, 2]."""
+        return np.stack(self.updater.soft_values(states), axis=1)
+
+    def critic(self) -> SoftCritic:
+        """See ``OffPolicyAgent.critic``; its weights and noise are its own."""
+        return SoftCritic(self._inputs, self.action_size, self.updater.settings, next(self._noise_seeds))
+
+    def critic_weights(self) -> Weights:
+        """See ``OffPolicyAgent.critic_weights``."""
+        return self.updater.critic_weights()
 
     def weights(self) -> Weights:
-        """Copies of all parameters by name, with the bounds that the average actor's actions are stretched to.
+        """Copies of all parameters by name, with the bounds that the average actor's actions are stretched to."""
+        return self.updater.weights() | {"average.low": self._low, "average.high": self._high}
 
-        Where observations are normalised, their statistics are among them.
-        """
-        bounds = {"average.low": self._low, "average.high": self._high}
-        return self.updater.weights() | bounds | self._normalisation.weights()
-
-    def load(self, weights: Mapping[str, NDArray[Any]], version: int) -> None:
-        """Go on from weights learned before."""
-        own = self._normalisation.load(weights)
-        self.updater.load({name: array for name, array in own.items() if name not in ("average.low", "average.high")})
-        self.version = version
-        self.published.update(self.updater, version, self._normalisation.weights())
+    def load(self, weights: Arrays) -> None:
+        """See ``OffPolicyAgent.load``."""
+        bounds = ("average.low", "average.high")
+        self.updater.load({name: array for name, array in weights.items() if name not in bounds})
 
     def losses(self) -> tuple[float | None, float | None]:
         """Entropy (nats) and critic loss of the last update; None before the first."""
@@ -161,95 +131,17 @@ class SACLearner:
         return (found["entropy"], found["critic_loss"]) if found else self._earlier_losses
 
     def state_dict(self) -> State:
-        """See ``Learner.state_dict``; the replay's arrays are views."""
+        """See ``OffPolicyAgent.state_dict``."""
         return {
-            "weights": self.updater.weights() | self._normalisation.weights(),
+            "weights": self.updater.weights(),
             "optimisers": self.updater.optimiser_state(),
-            "experience": self.experience.state_dict(),
-            "waves": self._waves.state_dict(),
-            "holds": self._holds.state_dict(),
-            "attempts": self.attempts.state_dict(),
-            "rng": self._rng.bit_generator.state,
-            "owed": self._owed,
-            "ahead": [vars(drawn) for drawn in self._ahead],
-            "fresh": self._fresh.copy(),
-            "gradient_steps": self.gradient_steps,
-            "version": self.version,
+            "exploration": self._exploration.state_dict(),
             "losses": self.losses(),
         }
 
     def load_state_dict(self, state: State) -> None:
-        """See ``Learner.load_state_dict``; peers are asked again about the batches that were drawn ahead."""
-        self.experience.load(state["experience"])
-        self.load(state["weights"], state["version"])
+        """See ``OffPolicyAgent.load_state_dict``."""
+        self.updater.load(state["weights"])
         self.updater.load_optimiser_state(state["optimisers"])
-        self._waves.load_state_dict(state["waves"])
-        self._holds.load_state_dict(state["holds"])
-        self.attempts.load_state_dict(state["attempts"])
-        self._rng.bit_generator.state = state["rng"]
-        self._owed, self._fresh[:] = state["owed"], state["fresh"]
-        self._ahead = deque(
-            DrawnBatch(**{**drawn, "asked_pids": tuple(drawn["asked_pids"])}) for drawn in state["ahead"]
-        )
-        self.gradient_steps = self._asked = state["gradient_steps"]
+        self._exploration.load_state_dict(state["exploration"])
         self._earlier_losses = tuple(state["losses"])
-
-    def iterate(self, peers: PeerCritics) -> bool:
-        """Some steps of all copies and the updates that they call for; False while there is no state to start from."""
-        if not self.attempts.begin():
-            return False
-        for _ in range(self._sac.steps_per_iteration):
-            self._step()
-            self._owed += self._sac.updates_per_step * len(self._fresh)
-            while self._owed >= 1.0:
-                self._owed -= 1.0
-                self._train(peers)
-        self.version += 1
-        self.published.update(self.updater, self.version, self._normalisation.weights())
-        return True
-
-    def _step(self) -> None:
-        attempts = self.attempts
-        observations, q = attempts.observations.copy(), attempts.q.copy()
-        success = self._success()
-        self._waves.begin(self._fresh, success)
-        self._holds.begin(self._fresh, success)
-        self._normalisation.update(observations)
-        chosen = self.updater.act(self._states(observations, q), deterministic=False)
-        actions = self._waves.drive(self._holds.drive(chosen))
-        step = attempts.step(scaled(actions, self._low, self._high))
-        self.experience.add(
-            observations, q, actions, step.symbols, step.next_observations, step.terminated, step.ended, step.reached
-        )
-        self._fresh = step.ended
-
-    def _train(self, peers: PeerCritics) -> None:
-        """Train on the batch drawn longest ago, whose peers have had time to answer, and draw the next."""
-        if len(self.experience) < self._sac.learning_starts:
-            return
-        while len(self._ahead) < BATCHES_AHEAD:
-            self._ahead.append(self.batches.draw(self.gradient_steps + len(self._ahead), self._success()))
-        self._ask(peers)
-        drawn = self._ahead.popleft()
-        answers = peers.gather(drawn.number)
-        values, log_probs = answers.values.reshape(-1, 2).T
-        self.updater.scale_learning_rate(1.0 - self._sac.learning_rate_decay * self._success() ** 2)
-        self.updater.update(drawn.tensors(self._normalisation), PeerSoftValues(answers.rows, values, log_probs))
-        self.updater.keep_alpha_above(self._alpha_floor())
-        self.gradient_steps += 1
-
-    def _alpha_floor(self) -> float:
-        """A learner that fails goes on exploring: its entropy coefficient falls with its failures, not before them."""
-        return self._initial_alpha * self._sac.alpha_floor * (1.0 - self._success()) ** 2
-
-    def _success(self) -> float:
-        """Share of the recent attempts that succeeded; 0 before there are any."""
-        return self.attempts.recent_success or 0.0
-
-    def _ask(self, peers: PeerCritics) -> None:
-        """Ask peers about the batches ahead that they have not been asked about: after a resume about all of them."""
-        for drawn in self._ahead:
-            if drawn.number >= self._asked:
-                self._asked = drawn.number + 1
-                if len(drawn.asked_rows):
-                    peers.ask(drawn.number, drawn.questions(self._observation_size))

@@ -12,10 +12,10 @@ import torch
 from numpy.typing import NDArray
 
 from t4nmtd_dist.agents.common.flat_adam import FlatAdam
-from t4nmtd_dist.agents.common.networks import Weights, part_of
-from t4nmtd_dist.agents.common.squashed_gaussian import Reals
-from t4nmtd_dist.agents.sac.interface import Floats, SACSettings
-from t4nmtd_dist.agents.sac.networks import Stack, StackShape
+from t4nmtd_dist.agents.sac.networks import Stack, weights_of_stacks
+from t4nmtd_dist.agents.sac.shapes import actor_shape, critics_shape
+from t4nmtd_dist.agents.sac.updater import Floats, Reals, SACSettings
+from t4nmtd_dist.agents.weights import Weights, part_of
 from t4nmtd_dist.core.errors import PolicyError
 
 NO_UPDATE = "no update yet: targets are those of the last one"
@@ -72,8 +72,8 @@ class SACParameters:
         self.settings = settings
         self._state_size, self._action_size = state_size, action_size
         self._generator = torch.Generator().manual_seed(seed)
-        actor = StackShape(1, state_size, settings.hidden, 2 * action_size, layer_norm=False)
-        critics = StackShape(2, state_size + action_size, settings.hidden, 1, layer_norm=settings.layer_norm)
+        actor = actor_shape(state_size, action_size, settings.hidden)
+        critics = critics_shape(state_size, action_size, settings.hidden, layer_norm=settings.layer_norm)
         self._actor = Stack(actor, self._generator, device=device)
         self._average = Stack(actor, device=device)
         self._average.flat.copy_(self._actor.flat)
@@ -121,10 +121,11 @@ class SACParameters:
 
     def weights(self) -> Weights:
         """See ``SoftActorCritic.weights``."""
-        named = {
-            f"{part}.{name}": array for part, stack in self._stacks().items() for name, array in stack.weights().items()
-        }
-        return named | {"log_alpha": self._log_alpha.cpu().numpy().copy()}
+        return weights_of_stacks(self._stacks()) | {"log_alpha": self._log_alpha.cpu().numpy().copy()}
+
+    def critic_weights(self) -> Weights:
+        """See ``SoftActorCritic.critic_weights``."""
+        return weights_of_stacks({"actor": self._actor, "targets": self._targets})
 
     def load(self, weights: Mapping[str, NDArray[Any]]) -> None:
         """See ``SoftActorCritic.load``."""

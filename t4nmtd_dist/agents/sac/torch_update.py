@@ -1,33 +1,24 @@
-"""SAC's gradient step in plain torch, for any device: the losses to read, with their gradients left to autograd.
+"""SAC's gradient step in plain torch, for any device: the losses of ``losses``, with their gradients left to autograd.
 
-On the CPU ``sac_update`` does the same in two thirds of the time; the tests hold the two against each other. Here the
+On the CPU ``fast_cpu`` does the same in two thirds of the time; the tests hold the two against each other. Here the
 device is never waited for within an update: a batch goes there as one array, and nothing comes back before it is asked
 for.
 """
 
 from __future__ import annotations
 
-import math
-from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass
 
 import numpy as np
 import torch
 from torch import Tensor
-from torch.nn import functional
 
-from t4nmtd_dist.agents.common.squashed_gaussian import LOG_STD_MAX, LOG_STD_MIN, SQUASH_EPSILON, Reals
-from t4nmtd_dist.agents.sac.fast_cpu.update import SACUpdater
-from t4nmtd_dist.agents.sac.interface import Floats, PeerSoftValues, SACBatch, SACSettings, SoftActorCritic
-from t4nmtd_dist.agents.sac.networks import LAYER_NORM_EPSILON, HiddenLayer, Layers, Stack, layers_of
+from t4nmtd_dist.agents.common.batches import Batch
+from t4nmtd_dist.agents.sac.losses import NextValues, actor_loss, alpha_loss, critic_loss, critic_target
+from t4nmtd_dist.agents.sac.networks import Layers, Stack, evaluate_plainly, layers_of
 from t4nmtd_dist.agents.sac.parameters import NO_UPDATE, LastUpdate, SACParameters
-
-
-def updater_on(device: str, state_size: int, action_size: int, settings: SACSettings, seed: int) -> SoftActorCritic:
-    """SAC for a device: the hand-written one on the CPU, plain torch anywhere else."""
-    if device == "cpu":
-        return SACUpdater(state_size, action_size, settings, seed)
-    return TorchSACUpdater(state_size, action_size, settings, seed, device)
+from t4nmtd_dist.agents.sac.squashed_gaussian import squashed
+from t4nmtd_dist.agents.sac.updater import Floats, PeerSoftValues, Reals, SACSettings
 
 
 @dataclass(frozen=True)
@@ -64,35 +55,6 @@ class _Last:
         return LastUpdate(errors, targets, log_probs, values, float(self.alpha))
 
 
-def evaluate_plainly(layers: Layers, inputs: Tensor) -> Tensor:
-    """Outputs [n, rows, outputs] of all networks of a stack on the same inputs [rows, inputs], for autograd."""
-    hidden = inputs.expand(len(layers.head_bias), *inputs.shape)
-    for layer in layers.hidden:
-        hidden = _normalised(layer, torch.baddbmm(layer.bias, hidden, layer.weight)).relu()
-    return torch.baddbmm(layers.head_bias.transpose(1, 2), hidden, layers.head_weight.transpose(1, 2))
-
-
-def _normalised(layer: HiddenLayer, linear: Tensor) -> Tensor:
-    if layer.gain is None or layer.shift is None:
-        return linear
-    normal = functional.layer_norm(linear, linear.shape[-1:], eps=LAYER_NORM_EPSILON)
-    return normal * layer.gain[:, None] + layer.shift[:, None]
-
-
-def squashed(outputs: Tensor, noise: Tensor) -> tuple[Tensor, Tensor]:
-    """Actions tanh(mean + std * noise) [rows, A] and log pi of them [rows] (Haarnoja et al., 2018, appendix C).
-
-    Args:
-        outputs: the actor's outputs, means before log standard deviations [rows, 2 A].
-        noise: standard normal [rows, A].
-    """
-    mean, log_std = outputs.chunk(2, -1)
-    log_std = log_std.clamp(LOG_STD_MIN, LOG_STD_MAX)
-    actions = torch.tanh(mean + log_std.exp() * noise)
-    log_normal = -0.5 * noise.square() - log_std - 0.5 * math.log(2 * math.pi)
-    return actions, (log_normal - torch.log(1 - actions.square() + SQUASH_EPSILON)).sum(-1)
-
-
 def _leaf(tensor: Tensor, gradient: Tensor) -> Tensor:
     """The same memory as a tensor that autograd differentiates by; derivatives are added to ``gradient``."""
     leaf = tensor.detach().requires_grad_()
@@ -116,37 +78,27 @@ class TorchSACUpdater(SACParameters):
         settings: learning rates and sizes.
         seed: seeds weights and noise.
         device: where to compute.
-        bf16: multiply matrices in bfloat16; parameters, losses and optimisers stay in float32.
     """
 
-    def __init__(
-        self, state_size: int, action_size: int, settings: SACSettings, seed: int, device: str, *, bf16: bool = False
-    ) -> None:
+    def __init__(self, state_size: int, action_size: int, settings: SACSettings, seed: int, device: str) -> None:
         super().__init__(state_size, action_size, settings, seed, device)
-        self._device, self._bf16 = device, bf16
+        self._device = device
         gradients = {name: optimiser.gradient for name, optimiser in self._optimisers.items()}
         self._trained_actor = _leaves(self._actor, gradients["actor"])
         self._trained_critics = _leaves(self._critics, gradients["critics"])
         self._trained_log_alpha = _leaf(self._log_alpha, gradients["alpha"])
         self._last: _Last | None = None
 
-    def _run(self, layers: Layers, inputs: Tensor) -> Tensor:
-        precision: AbstractContextManager[object] = nullcontext()
-        if self._bf16:
-            precision = torch.autocast(torch.device(self._device).type, torch.bfloat16)
-        with precision:
-            return evaluate_plainly(layers, inputs).float()
-
     def _values(self, layers: Layers, states: Tensor, actions: Tensor) -> Tensor:
         """Q_i(s, a) [2, rows]."""
-        return self._run(layers, torch.cat((states, actions), 1)).squeeze(-1)
+        return evaluate_plainly(layers, torch.cat((states, actions), 1)).squeeze(-1)
 
     # Acting
 
     @torch.no_grad()
     def act(self, states: Floats, *, deterministic: bool) -> Floats:
         """See ``SoftActorCritic.act``."""
-        outputs = self._run(self._actor.layers, torch.from_numpy(states).to(self._device))[0]
+        outputs = evaluate_plainly(self._actor.layers, torch.from_numpy(states).to(self._device))[0]
         if deterministic:
             actions: Floats = outputs[:, : self._action_size].tanh().cpu().numpy()
         else:
@@ -160,21 +112,21 @@ class TorchSACUpdater(SACParameters):
     def soft_values(self, states: Floats) -> tuple[Floats, Floats]:
         """See ``SoftActorCritic.soft_values``."""
         inputs = torch.from_numpy(states).to(self._device)
-        actions, log_probs = squashed(self._run(self._actor.layers, inputs)[0], self._drawn_noise(len(states)))
+        actions, log_probs = squashed(evaluate_plainly(self._actor.layers, inputs)[0], self._drawn_noise(len(states)))
         values = self._values(self._targets.layers, inputs, actions).amin(0)
         return values.cpu().numpy(), log_probs.cpu().numpy()
 
     # Learning
 
-    def update(self, batch: SACBatch, peers: PeerSoftValues | None = None) -> None:
+    def update(self, batch: Batch, peers: PeerSoftValues | None = None) -> None:
         """See ``SoftActorCritic.update``."""
         self.update_with_noise(batch, self._noise(2 * len(batch.rewards)), peers)
 
-    def update_with_noise(self, batch: SACBatch, noise: Floats, peers: PeerSoftValues | None = None) -> None:
+    def update_with_noise(self, batch: Batch, noise: Floats, peers: PeerSoftValues | None = None) -> None:
         """See ``SoftActorCritic.update_with_noise``."""
         given, alpha = self._load(batch, noise, peers), self._log_alpha.exp()
         if self._actor_is_due:
-            actions, log_probs = squashed(self._run(self._trained_actor, given.states)[0], given.noise)
+            actions, log_probs = squashed(evaluate_plainly(self._trained_actor, given.states)[0], given.noise)
             self._step_alpha(log_probs.detach())
             targets = self._soft_targets(given, alpha)
             errors = self._step_critics(given, targets)
@@ -185,7 +137,7 @@ class TorchSACUpdater(SACParameters):
             self._step_critics(given, self._soft_targets(given, alpha))
         self._targets.flat.lerp_(self._critics.flat, self.settings.tau)
 
-    def _load(self, batch: SACBatch, noise: Floats, peers: PeerSoftValues | None) -> _Given:
+    def _load(self, batch: Batch, noise: Floats, peers: PeerSoftValues | None) -> _Given:
         rows, d, a = len(batch.rewards), self._state_size, self._action_size
         answers = np.zeros((rows, 3), np.float32)
         if peers is not None:
@@ -203,27 +155,26 @@ class TorchSACUpdater(SACParameters):
         optimiser.step()
 
     def _step_alpha(self, log_probs: Tensor) -> None:
-        self._step("alpha", -(self._trained_log_alpha * (log_probs + self._target_entropy)).mean())
+        self._step("alpha", alpha_loss(self._trained_log_alpha, log_probs, self._target_entropy))
 
     @torch.no_grad()
     def _soft_targets(self, given: _Given, alpha: Tensor) -> Tensor:
         """Soft targets y [B]."""
-        actions, log_probs = squashed(self._run(self._actor.layers, given.next_states)[0], given.next_noise)
+        actions, log_probs = squashed(evaluate_plainly(self._actor.layers, given.next_states)[0], given.next_noise)
         values = self._values(self._targets.layers, given.next_states, actions).amin(0)
-        values = torch.where(given.answered > 0, given.peer_values, values)
-        log_probs = torch.where(given.answered > 0, given.peer_log_probs, log_probs)
-        return given.rewards + given.discounts * (values - alpha * log_probs)
+        own, peers = NextValues(values, log_probs), NextValues(given.peer_values, given.peer_log_probs)
+        return critic_target(given.rewards, given.discounts, own, peers, given.answered > 0, alpha)
 
     def _step_critics(self, given: _Given, targets: Tensor) -> Tensor:
         """Step the critics; returns their errors Q_i - y [2, B]."""
         errors = self._values(self._trained_critics, given.states, given.actions) - targets
-        self._step("critics", 0.5 * errors.square().mean(1).sum())
+        self._step("critics", critic_loss(errors))
         return errors.detach()
 
     def _step_actor(self, given: _Given, actions: Tensor, log_probs: Tensor, alpha: Tensor) -> Tensor:
         """Step the actor, the critics' weights being constants; returns min_i Q_i(s, a) of its actions [B]."""
         values = self._values(self._critics.layers, given.states, actions).amin(0)
-        self._step("actor", (alpha * log_probs - values).mean())
+        self._step("actor", actor_loss(alpha, log_probs, values))
         return values.detach()
 
     def losses(self) -> dict[str, float]:

@@ -9,7 +9,7 @@ import zmq
 from zmq.utils.monitor import recv_monitor_message
 
 from t4nmtd_dist.wire.auth.keys import ClientKeys
-from t4nmtd_dist.wire.sockets import MONITORED, Socket
+from t4nmtd_dist.wire.zmq_types import MONITORED, Socket
 
 Outcome = Literal["connected", "agreed", "refused", "mechanism", "broken", "ended"]
 

@@ -10,7 +10,7 @@ import zmq
 from zmq.utils import z85
 
 from t4nmtd_dist.wire.auth.allow_list import AllowedFolder, AllowedKeys
-from t4nmtd_dist.wire.sockets import Context, Socket
+from t4nmtd_dist.wire.zmq_types import Context, Socket
 
 ENDPOINT = "inproc://zeromq.zap.01"
 POLL_MS = 200

@@ -13,7 +13,7 @@ from t4nmtd_dist.wire.auth.keys import ClientKeys
 from t4nmtd_dist.wire.codec import Envelope
 from t4nmtd_dist.wire.messages import Peer, ValueReply, ValueRequest
 from t4nmtd_dist.wire.peers.peer_connections import PeerClient, arrived
-from t4nmtd_dist.wire.sockets import Context, Socket
+from t4nmtd_dist.wire.zmq_types import Context, Socket
 
 ROWS_PER_REQUEST = 128
 GATHERINGS_PER_REQUEST = 8

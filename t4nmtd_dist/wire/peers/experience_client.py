@@ -16,7 +16,7 @@ from t4nmtd_dist.wire.codec import Envelope, without_prefix
 from t4nmtd_dist.wire.messages import ExperienceReply, ExperienceRequest, Peer
 from t4nmtd_dist.wire.peers.peer_connections import PeerClient, arrived
 from t4nmtd_dist.wire.rate_limited_log import Tell
-from t4nmtd_dist.wire.sockets import Context, Socket
+from t4nmtd_dist.wire.zmq_types import Context, Socket
 
 if TYPE_CHECKING:
     from t4nmtd_dist.agents.common.replay_buffer import Experience

@@ -13,7 +13,8 @@ from t4nmtd_dist.core.errors import ConfigError, ProtocolError
 from t4nmtd_dist.wire.auth.keys import ClientKeys
 from t4nmtd_dist.wire.codec import Arrays, Envelope, decode
 from t4nmtd_dist.wire.messages import Message, Peer
-from t4nmtd_dist.wire.sockets import Context, Socket, connect, send
+from t4nmtd_dist.wire.sockets import connect, send
+from t4nmtd_dist.wire.zmq_types import Context, Socket
 
 HANDSHAKE_MS = 2000  # a peer that does not know of us yet stays silent; ask again then
 

@@ -15,7 +15,7 @@ from t4nmtd_dist.wire.auth.keys import ClientKeys
 from t4nmtd_dist.wire.codec import without_prefix
 from t4nmtd_dist.wire.messages import Peer, WeightsReply, WeightsRequest
 from t4nmtd_dist.wire.peers.peer_connections import PeerClient, arrived
-from t4nmtd_dist.wire.sockets import Context, Socket
+from t4nmtd_dist.wire.zmq_types import Context, Socket
 
 if TYPE_CHECKING:
     from t4nmtd_dist.agents.protocol import PublishedValues

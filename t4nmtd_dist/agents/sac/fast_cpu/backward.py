@@ -1,4 +1,4 @@
-"""Hand-written gradients of a stack of networks, from the activations that ``sac_networks.evaluate`` left behind.
+"""Hand-written gradients of a stack of networks, from the activations that ``forward.evaluate`` left behind.
 
 Only what SAC's update needs is computed: gradients of weights but none of the inputs, or, in the actor's step,
 gradients of the actions but none of the critics' weights. Tests compare every one with autograd.
@@ -13,8 +13,9 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
+from t4nmtd_dist.agents.sac.fast_cpu.forward import Activations, LayerActivations
 from t4nmtd_dist.agents.sac.fast_cpu.matmul import multiply
-from t4nmtd_dist.agents.sac.networks import Activations, HiddenLayer, LayerActivations, Layers
+from t4nmtd_dist.agents.sac.networks import HiddenLayer, Layers
 
 Groups = list[tuple[int, slice]]
 

@@ -1,8 +1,6 @@
-"""One gradient step of soft actor-critic (Haarnoja et al., 2018), with the peer's soft value in its target.
+"""One gradient step of soft actor-critic, with gradients written by hand and tested against autograd of ``losses``.
 
-The losses are those of Stable-Baselines3's SAC; the gradients are written by hand and tested against autograd. In the
-symbols of the paper: y = r + discount * (min_i Q'_i(s', a') - alpha * log pi(a'|s')), where for experiences that cross
-a sub-task boundary min Q' and log pi come from the peer (T4NMTD, Algorithm 2, line 12) and alpha is the own one.
+Every step of it names the loss that it descends. Peers' values replace the own ones as in ``losses.critic_target``.
 """
 
 from __future__ import annotations
@@ -11,19 +9,16 @@ import math
 
 import numpy as np
 import torch
-from torch import Tensor
 
-from t4nmtd_dist.agents.common.squashed_gaussian import (
-    Reals,
-    SquashedSample,
-    deterministic_actions,
-    output_gradient,
-    squashed_sample,
-)
+from t4nmtd_dist.agents.common.batches import Batch
+from t4nmtd_dist.agents.sac.fast_cpu.acting import FastActing
 from t4nmtd_dist.agents.sac.fast_cpu.backward import chosen_input_gradient, weight_gradients
-from t4nmtd_dist.agents.sac.interface import Floats, PeerSoftValues, SACBatch, SACSettings
-from t4nmtd_dist.agents.sac.networks import Activations, GrowingWorkspace, StackShape, evaluate, layers_of
+from t4nmtd_dist.agents.sac.fast_cpu.forward import Activations, evaluate
+from t4nmtd_dist.agents.sac.fast_cpu.squashed_gaussian import SquashedSample, output_gradient, squashed_sample
+from t4nmtd_dist.agents.sac.networks import layers_of
 from t4nmtd_dist.agents.sac.parameters import NO_UPDATE, LastUpdate, SACParameters
+from t4nmtd_dist.agents.sac.shapes import StackShape
+from t4nmtd_dist.agents.sac.updater import Floats, PeerSoftValues, Reals, SACSettings
 
 
 class _Workspace:
@@ -62,44 +57,24 @@ class SACUpdater(SACParameters):
         actor, critics = self._actor.shape, self._critics.shape
         self._actor_gradients = layers_of(self._optimisers["actor"].gradient, actor)
         self._critic_gradients = layers_of(self._optimisers["critics"].gradient, critics)
-        self._acting_workspace, self._valuing_workspace = GrowingWorkspace(actor), GrowingWorkspace(critics)
+        self._acting = FastActing(self._actor, self._targets, self._generator)
         self._workspace: _Workspace | None = None
         self._last: LastUpdate | None = None
 
-    # Acting
-
-    @torch.no_grad()
     def act(self, states: Floats, *, deterministic: bool) -> Floats:
         """See ``SoftActorCritic.act``."""
-        outputs = self._actor_outputs(torch.from_numpy(states))
-        drawn = deterministic_actions(outputs) if deterministic else self._sample(outputs).actions
-        return np.ascontiguousarray(drawn.T, np.float32)
+        return self._acting.act(states, deterministic=deterministic)
 
-    def _actor_outputs(self, states: Tensor) -> Reals:
-        outputs: Reals = evaluate(self._actor.layers, states, self._acting_workspace.of(len(states)))[0].numpy()
-        return outputs
-
-    def _sample(self, outputs: Reals) -> SquashedSample:
-        return squashed_sample(outputs, self._noise(outputs.shape[1]))
-
-    @torch.no_grad()
     def soft_values(self, states: Floats) -> tuple[Floats, Floats]:
         """See ``SoftActorCritic.soft_values``."""
-        inputs = torch.empty(len(states), self._state_size + self._action_size)
-        inputs[:, : self._state_size] = torch.from_numpy(states)
-        sample = self._sample(self._actor_outputs(inputs[:, : self._state_size]))
-        inputs[:, self._state_size :] = torch.from_numpy(sample.actions.T)
-        values = evaluate(self._targets.layers, inputs, self._valuing_workspace.of(len(states)))[:, 0].numpy()
-        return values.min(0), sample.log_probs.astype(np.float32, copy=False)
+        return self._acting.soft_values(states)
 
-    # Learning
-
-    def update(self, batch: SACBatch, peers: PeerSoftValues | None = None) -> None:
+    def update(self, batch: Batch, peers: PeerSoftValues | None = None) -> None:
         """See ``SoftActorCritic.update``."""
         self.update_with_noise(batch, self._noise(2 * len(batch.rewards)), peers)
 
     @torch.no_grad()
-    def update_with_noise(self, batch: SACBatch, noise: Floats, peers: PeerSoftValues | None = None) -> None:
+    def update_with_noise(self, batch: Batch, noise: Floats, peers: PeerSoftValues | None = None) -> None:
         """See ``SoftActorCritic.update_with_noise``."""
         workspace = self._load(batch)
         alpha = math.exp(self._log_alpha_array[0])
@@ -122,7 +97,7 @@ class SACUpdater(SACParameters):
         outputs = evaluate(self._actor.layers, states, workspace.actor.first(len(states)))
         return squashed_sample(outputs[0].numpy(), noise[:, rows])
 
-    def _load(self, batch: SACBatch) -> _Workspace:
+    def _load(self, batch: Batch) -> _Workspace:
         rows, size = len(batch.rewards), self._state_size
         if self._workspace is None or self._workspace.rows != rows:
             self._workspace = _Workspace(rows, size, self._actor.shape, self._critics.shape)
@@ -133,19 +108,20 @@ class SACUpdater(SACParameters):
         return workspace
 
     def _step_alpha(self, log_probs: Reals) -> None:
+        """Descend ``losses.alpha_loss``."""
         optimiser = self._optimisers["alpha"]
         optimiser.gradient.fill_(-float(log_probs.mean()) - self._target_entropy)
         optimiser.step()
 
     def _soft_targets(
         self,
-        batch: SACBatch,
+        batch: Batch,
         workspace: _Workspace,
         following: SquashedSample,
         alpha: float,
         peers: PeerSoftValues | None,
     ) -> Reals:
-        """Soft targets y [B]."""
+        """See ``losses.critic_target``."""
         workspace.following_array[:, self._state_size :] = following.actions.T
         evaluate(self._targets.layers, workspace.following, workspace.critics)
         values: Reals = workspace.values_array.min(0)
@@ -158,7 +134,7 @@ class SACUpdater(SACParameters):
         return values
 
     def _step_critics(self, workspace: _Workspace, targets: Reals) -> Reals:
-        """Step the critics; returns their errors Q_i - y [2, B]."""
+        """Descend ``losses.critic_loss``; returns the errors Q_i - y [2, B]."""
         evaluate(self._critics.layers, workspace.current, workspace.critics)
         errors: Reals = workspace.values_array - targets
         np.divide(errors, workspace.rows, out=workspace.d_values_array)
@@ -169,7 +145,7 @@ class SACUpdater(SACParameters):
         return errors
 
     def _step_actor(self, workspace: _Workspace, sample: SquashedSample, alpha: float) -> Reals:
-        """Step the actor; returns min_i Q_i(s, a) of its actions [B]."""
+        """Descend ``losses.actor_loss``; returns min_i Q_i(s, a) of the actor's actions [B]."""
         rows, layers = workspace.rows, self._critics.layers
         workspace.current_array[:, self._state_size :] = sample.actions.T
         evaluate(layers, workspace.current, workspace.critics)

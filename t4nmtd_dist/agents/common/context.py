@@ -1,0 +1,85 @@
+"""What a learner is built from."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from t4nmtd_dist.agents.common.normalisation import Normalisation
+from t4nmtd_dist.agents.common.rollout import Rollout
+from t4nmtd_dist.core.config import LearnerConfig
+from t4nmtd_dist.core.devices import Device
+from t4nmtd_dist.environments.action_spaces import Bounds, action_bounds, action_count
+from t4nmtd_dist.method.compiled import CompiledTask
+from t4nmtd_dist.method.protocol import Method
+
+
+@dataclass(frozen=True)
+class AgentContext:
+    """The sub-task, the environments and the settings of one learner.
+
+    Attributes:
+        pid: the sub-task.
+        task: the compiled task: settings, DFA and all sub-tasks.
+        rollout: N copies of the environment within attempts at the sub-task.
+        action_space: of the environment.
+        method: the learner's copy of the method, whose upper level the coordinator keeps up to date.
+        seed: of networks and sampling.
+        device: where the networks are trained; rollout and answers to peers stay on the CPU.
+        normalised: which numbers of an observation are normalised, bool [d].
+    """
+
+    pid: str
+    task: CompiledTask
+    rollout: Rollout
+    action_space: object
+    method: Method
+    seed: int
+    device: Device
+    normalised: NDArray[np.bool_]
+
+    @property
+    def settings(self) -> LearnerConfig:
+        """What all learners share."""
+        return self.task.config.learner
+
+    @property
+    def dfa_states(self) -> int:
+        """|Q|."""
+        return self.task.dfa.states
+
+    @property
+    def observation_size(self) -> int:
+        """D, the length of an observation."""
+        return len(self.normalised)
+
+    @property
+    def inputs(self) -> int:
+        """Length of a product state, d + |Q|."""
+        return self.observation_size + self.dfa_states
+
+    def action_count(self) -> int:
+        """How many discrete actions there are.
+
+        Raises:
+            EnvError: if the action space is not Discrete.
+        """
+        return action_count(self.action_space, self.task.config.environment.id, self.settings.algorithm.upper())
+
+    def action_bounds(self) -> Bounds:
+        """Lowest and highest continuous actions, float32 [A] each.
+
+        Raises:
+            EnvError: if the action space is not a Box of one dimension, of real numbers within finite bounds.
+        """
+        return action_bounds(self.action_space, self.task.config.environment.id, self.settings.algorithm.upper())
+
+    def rng(self) -> np.random.Generator:
+        """The learner's generator, from the seed; every call gives another in the same state."""
+        return np.random.default_rng([self.seed, 1])
+
+    def normalisation(self) -> Normalisation:
+        """Empty statistics of observations."""
+        return Normalisation(self.normalised)

@@ -1,0 +1,235 @@
+"""The learner that off-policy agents share: it acts, stores what happens, and trains on batches with peers' values."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from t4nmtd_dist.agents.common.batch_source import BatchSource
+from t4nmtd_dist.agents.common.batches import Batch
+from t4nmtd_dist.agents.common.batches_ahead import BatchesAhead
+from t4nmtd_dist.agents.common.context import AgentContext
+from t4nmtd_dist.agents.common.off_policy_config import OffPolicyConfig
+from t4nmtd_dist.agents.common.peer_values import PeerCritics, PeerValues, Values
+from t4nmtd_dist.agents.common.product_states import product_states
+from t4nmtd_dist.agents.common.published import Critic, PublishedCritic
+from t4nmtd_dist.agents.common.relabelling import ExperienceReader
+from t4nmtd_dist.agents.common.replay_buffer import Experience
+from t4nmtd_dist.agents.weights import Arrays, Weights
+from t4nmtd_dist.core.state_dict import State
+from t4nmtd_dist.environments.batched import Observations
+
+Floats = NDArray[np.float32]
+States = NDArray[np.int32]
+
+
+class OffPolicyAgent(Protocol):
+    """What tells one off-policy algorithm from another: how it acts, and how a batch changes its networks.
+
+    The loop it is meant for::
+
+        while True:
+            actions = agent.act(states, begun, success)
+            experience.add(..., actions, *step(agent.environment_actions(actions)))
+            agent.update(batch, answers, success)
+    """
+
+    action_size: int
+    """Numbers of an action in the experience: A of a continuous one, 1 of a discrete one."""
+    value_shape: tuple[int, ...]
+    """Shape of what ``values`` says of one product state."""
+
+    def act(self, states: Floats, begun: NDArray[np.bool_], success: float) -> Floats:
+        """Actions to store [N, A], exploration included.
+
+        Args:
+            states: product states [N, d + |Q|].
+            begun: the copies that have just begun an attempt [N].
+            success: share of the recent attempts that succeeded.
+        """
+
+    def environment_actions(self, actions: Floats) -> NDArray[np.generic]:
+        """The same actions as the environment takes them."""
+
+    def update(self, batch: Batch, answers: PeerValues, success: float) -> None:
+        """One gradient step.
+
+        Args:
+            batch: B experiences.
+            answers: values of peers for some of its rows, to be bootstrapped from.
+            success: share of the recent attempts that succeeded.
+        """
+
+    def values(self, states: Floats) -> Values:
+        """What a peer in the same process bootstraps from at product states [k, d + |Q|]."""
+
+    def critic_weights(self) -> Weights:
+        """Copies of what ``values`` is computed from, as a ``critic`` of the agent loads them."""
+
+    def critic(self) -> Critic:
+        """A critic of the same shape, on the CPU."""
+
+    def weights(self) -> Weights:
+        """Copies of all parameters by name."""
+
+    def load(self, weights: Arrays) -> None:
+        """Go on from ``weights``.
+
+        Raises:
+            PolicyError: if names or shapes differ.
+        """
+
+    def losses(self) -> tuple[float | None, float | None]:
+        """Entropy (nats) and critic loss of the last update; None before the first, or where there is no such thing."""
+
+    def state_dict(self) -> State:
+        """Parameters, optimisers and exploration, for a checkpoint."""
+
+    def load_state_dict(self, state: State) -> None:
+        """Go on from a ``state``."""
+
+
+class OffPolicyLearner:
+    """``Learner`` of an off-policy agent.
+
+    Args:
+        context: the sub-task and its environments.
+        config: the agent's settings.
+        agent: acts and learns.
+        rng: of the draws of batches; the agent may draw from it, too.
+
+    Attributes:
+        agent: as given.
+        batches: where batches are drawn from.
+    """
+
+    def __init__(
+        self, context: AgentContext, config: OffPolicyConfig, agent: OffPolicyAgent, rng: np.random.Generator
+    ) -> None:
+        self.pid, self.rollout, self.agent = context.pid, context.rollout, agent
+        self._context, self._config, self._rng = context, config, rng
+        self._normalisation = context.normalisation()
+        count = len(self.rollout.observations)
+        self.experience = Experience(config.replay_rows // count, count, context.observation_size, agent.action_size)
+        settings = context.settings
+        tables = context.method.role(self.pid).tables
+        reader = ExperienceReader(tables, context.task.dfa.delta, settings.gamma, settings.reward_scale, config.n_step)
+        self.batches = BatchSource(self.pid, self.experience, reader, config, context.method, rng)
+        self.peer_steps = self._steps_of_each_peer()
+        self._ahead = BatchesAhead(context.observation_size)
+        self._begun = np.ones(count, np.bool_)
+        self._owed = 0.0  # updates
+        self.published = self.replica()
+        self.value_shape = agent.value_shape
+        self.gradient_steps = 0
+        self.version = 0
+
+    def _steps_of_each_peer(self) -> int:
+        """Of all peers together as many as the own replay holds."""
+        peers = len(self._context.task.decomposition.pids) - 1
+        return max(1, self.experience.steps // max(1, peers)) if self.batches.reads_peers else 0
+
+    def iterate(self, peers: PeerCritics) -> bool:
+        """Some steps of all copies and the updates that they call for; False while there is no state to start from."""
+        if not self.rollout.begin():
+            return False
+        for _ in range(self._config.steps_per_iteration):
+            self._step()
+            self._owed += self._config.updates_per_step * len(self._begun)
+            while self._owed >= 1.0:
+                self._owed -= 1.0
+                self._train(peers)
+        self.version += 1
+        self._publish()
+        return True
+
+    def _step(self) -> None:
+        rollout = self.rollout
+        observations, q = rollout.observations.copy(), rollout.q.copy()
+        self._normalisation.update(observations)
+        actions = self.agent.act(self._states(observations, q), self._begun, self._success())
+        step = rollout.step(self.agent.environment_actions(actions))
+        self.experience.add(
+            observations, q, actions, step.symbols, step.next_observations, step.terminated, step.ended, step.reached
+        )
+        self._begun = step.ended
+
+    def _train(self, peers: PeerCritics) -> None:
+        if len(self.experience) < self._config.learning_starts:
+            return
+        success = self._success()
+        drawn, answers = self._ahead.next(lambda number: self.batches.draw(number, success), peers)
+        self.agent.update(drawn.tensors(self._normalisation), answers, success)
+        self.gradient_steps += 1
+
+    def _success(self) -> float:
+        """Share of the recent attempts that succeeded; 0 before there are any."""
+        return self.rollout.statistics.recent_success or 0.0
+
+    def _states(self, observations: Observations, q: States) -> Floats:
+        """Product states, with observations normalised."""
+        return product_states(self._normalisation.apply(observations), q, self._context.dfa_states)
+
+    def critic_values(self, observations: Observations, q: States) -> Values:
+        """See ``Learner.critic_values``."""
+        return self.agent.values(self._states(observations, q))
+
+    def replica(self) -> PublishedCritic:
+        """See ``Learner.replica``."""
+        return PublishedCritic.of(self.agent.critic(), self._context)
+
+    def _publish(self) -> None:
+        self.published.update(self.agent.critic_weights() | self._normalisation.weights(), self.version)
+
+    @property
+    def peer_rows(self) -> int:
+        """See ``Learner.peer_rows``."""
+        return sum(map(len, self.batches.peers_experience()))
+
+    def learn_from(self, others: Mapping[str, Experience]) -> None:
+        """See ``Learner.learn_from``."""
+        self.batches.others = others
+
+    def weights(self) -> Weights:
+        """Copies of all parameters, and of the statistics of observations, by name."""
+        return self.agent.weights() | self._normalisation.weights()
+
+    def load(self, weights: Arrays, version: int) -> None:
+        """Go on from weights learned before."""
+        self.agent.load(self._normalisation.load(weights))
+        self.version = version
+        self._publish()
+
+    def losses(self) -> tuple[float | None, float | None]:
+        """See ``Learner.losses``."""
+        return self.agent.losses()
+
+    def state_dict(self) -> State:
+        """See ``Learner.state_dict``; the replay's arrays are views."""
+        return {
+            "agent": self.agent.state_dict(),
+            "normalisation": self._normalisation.weights(),
+            "experience": self.experience.state_dict(),
+            "attempts": self.rollout.state_dict(),
+            "rng": self._rng.bit_generator.state,
+            "owed": self._owed,
+            "ahead": self._ahead.state_dict(),
+            "begun": self._begun.copy(),
+            "gradient_steps": self.gradient_steps,
+            "version": self.version,
+        }
+
+    def load_state_dict(self, state: State) -> None:
+        """See ``Learner.load_state_dict``; peers are asked again about the batches that were drawn ahead."""
+        self.experience.load(state["experience"])
+        self._normalisation.load(state["normalisation"])
+        self.agent.load_state_dict(state["agent"])
+        self.rollout.load_state_dict(state["attempts"])
+        self._rng.bit_generator.state = state["rng"]
+        self._owed, self._begun[:] = state["owed"], state["begun"]
+        self.gradient_steps, self.version = state["gradient_steps"], state["version"]
+        self._ahead.load_state_dict(state["ahead"], self.gradient_steps)
+        self._publish()

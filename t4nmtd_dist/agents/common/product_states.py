@@ -1,0 +1,26 @@
+"""Product states: what networks see, an observation followed by the one-hot of the DFA state."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from t4nmtd_dist.environments.batched import Observations
+
+Floats = NDArray[np.float32]
+States = NDArray[np.int32]
+
+
+def product_states(observations: Observations, q: NDArray[np.integer], dfa_states: int) -> Floats:
+    """Inputs of the networks, float32 [N, d + |Q|].
+
+    Args:
+        observations: float32 [N, d].
+        q: DFA states [N].
+        dfa_states: |Q|.
+    """
+    rows, size = observations.shape
+    joined = np.zeros((rows, size + dfa_states), np.float32)
+    joined[:, :size] = observations
+    joined[np.arange(rows), size + q] = 1.0
+    return joined

@@ -1,0 +1,122 @@
+"""Beginning attempts: the environment's own reset, or a start state that is restored."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from t4nmtd_dist.core.errors import EnvError
+from t4nmtd_dist.environments.batched import BatchedEnv, Observations, Rows
+from t4nmtd_dist.method.start_states import InitialStateBuffer, StartState
+
+MOST_FAILURES = 50
+
+
+class Restarts:
+    """Puts copies of the environment where attempts begin, and drops start states that cannot be restored.
+
+    Args:
+        env: the copies.
+        buffer: the role's start states, from which those that cannot be restored are removed.
+        draw: gives this many starts; none if there is nowhere to begin.
+        rng: seeds the copies.
+
+    Attributes:
+        seeded: bool [N]; copies whose random generator has been seeded, which their first reset does.
+        rng: as given.
+        tell: called with a line about the first start state that cannot be restored.
+    """
+
+    def __init__(
+        self,
+        env: BatchedEnv,
+        buffer: InitialStateBuffer,
+        draw: Callable[[int], Sequence[StartState]],
+        rng: np.random.Generator,
+    ) -> None:
+        self._env, self._buffer, self._draw, self.rng = env, buffer, draw, rng
+        self.seeded: NDArray[np.bool_] = np.zeros(env.count, dtype=np.bool_)
+        self.tell: Callable[[str], None] = print
+        self._told = False
+        self._failures = 0  # to restore a start state, in a row
+        self._restored: StartState | None = None
+
+    def begin(self, rows: Rows, observations: Observations) -> list[StartState]:
+        """Begin an attempt in each of these copies.
+
+        Args:
+            rows: numbers of the copies [k].
+            observations: float32 [N, d], into which those of ``rows`` are written.
+
+        Returns:
+            Where each begins [k]; empty if there is nowhere to begin.
+
+        Raises:
+            EnvError: if one start state after another cannot be restored: it is the environment that fails.
+        """
+        starts = list(self._draw(len(rows)))
+        if not starts:
+            return []
+        fresh = np.array([start.state is None for start in starts])
+        self._reset(rows[fresh], observations)
+        return starts if self._restore(rows, starts, np.flatnonzero(~fresh), observations) else []
+
+    def _reset(self, rows: Rows, observations: Observations) -> None:
+        """The environment's own reset; a copy's first one seeds its random generator."""
+        for part, first in ((rows[~self.seeded[rows]], True), (rows[self.seeded[rows]], False)):
+            if len(part):
+                seed = int(self.rng.integers(2**31)) if first else None
+                observations[part] = self._env.reset(part, seed)
+                self.seeded[part] = True
+
+    def _restore(self, rows: Rows, starts: list[StartState], places: Rows, observations: Observations) -> bool:
+        """Restore the copies ``rows[places]``, all at once if possible; a start that fails is replaced in ``starts``.
+
+        Returns:
+            False if none is left to replace it.
+        """
+        if not len(places):
+            return True
+        try:
+            self._restore_all(rows[places], [starts[place] for place in places], observations)
+            return True
+        except Exception:  # whatever an environment makes of a state from elsewhere
+            return all(self._restore_one(rows, starts, place, observations) for place in places)
+
+    def _restore_all(self, rows: Rows, starts: list[StartState], observations: Observations) -> None:
+        found = self._env.restore(rows, [start.state for start in starts if start.state is not None])
+        if not np.isfinite(found).all():
+            raise EnvError("its observation holds NaN or infinity")
+        observations[rows] = found
+        self._failures, self._restored = 0, starts[-1]
+
+    def _restore_one(self, rows: Rows, starts: list[StartState], place: int, observations: Observations) -> bool:
+        row = rows[place : place + 1]
+        while starts[place].state is not None:
+            try:
+                self._restore_all(row, [starts[place]], observations)
+                return True
+            except Exception as error:
+                self._drop(starts[place], error)
+            another = next(iter(self._draw(1)), self._restored)
+            if another is None:
+                return False
+            starts[place] = another
+        self._reset(row, observations)
+        return True
+
+    def _drop(self, start: StartState, error: Exception) -> None:
+        """Remove a start state that cannot be restored; report the first."""
+        self._failures += 1
+        if self._failures >= MOST_FAILURES:
+            raise EnvError(
+                f"{self._failures} start states in a row could not be restored, the last for {type(error).__name__}: "
+                f"{error}; mend how the environment restores states (t4nmtd check), or choose another way (snapshots)"
+            ) from error
+        if start.state is not None:
+            self._buffer.remove(start.q, start.state)
+        if not self._told:
+            self._told = True
+            self.tell(f"a start state of DFA state {start.q} is dropped, for it cannot be restored: {error}")

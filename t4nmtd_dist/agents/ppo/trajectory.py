@@ -1,0 +1,54 @@
+"""What PPO learns from at once: some steps of all copies of the environment."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+Floats = NDArray[np.float32]
+Mask = NDArray[np.bool_]
+
+
+@dataclass
+class Trajectory:
+    """T steps of N copies; every array begins with the axes [T, N].
+
+    Attributes:
+        states: product states, observations normalised [T, N, d + |Q|].
+        actions: numbers of actions.
+        log_probs: log pi(a|s) when they were drawn.
+        rewards: scaled.
+        terminal: F, E or an environment that ended.
+        cut: the DFA changed its state, or the attempt is over: GAE's trace stops here.
+        boundary: cut and not terminal, so that the value of s' is bootstrapped and not that of the next row.
+        boundary_observations: s' before any restart, as the environment gave it [T, N, d].
+        boundary_q: q' before any restart.
+    """
+
+    states: Floats
+    actions: NDArray[np.int64]
+    log_probs: Floats
+    rewards: Floats
+    terminal: Mask
+    cut: Mask
+    boundary: Mask
+    boundary_observations: Floats
+    boundary_q: NDArray[np.int32]
+
+    @classmethod
+    def empty(cls, steps: int, count: int, inputs: int, observation_size: int) -> Trajectory:
+        """Room for a trajectory, to be filled step by step."""
+        shape = (steps, count)
+        return cls(
+            states=np.zeros((*shape, inputs), np.float32),
+            actions=np.zeros(shape, np.int64),
+            log_probs=np.zeros(shape, np.float32),
+            rewards=np.zeros(shape, np.float32),
+            terminal=np.zeros(shape, np.bool_),
+            cut=np.zeros(shape, np.bool_),
+            boundary=np.zeros(shape, np.bool_),
+            boundary_observations=np.zeros((*shape, observation_size), np.float32),
+            boundary_q=np.zeros(shape, np.int32),
+        )

@@ -1,0 +1,57 @@
+"""Weights as named numpy arrays: which of them act, which belong together. Imports no torch."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from itertools import pairwise
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from t4nmtd_dist.core.errors import ProtocolError
+
+Weights = dict[str, NDArray[Any]]
+Arrays = Mapping[str, NDArray[Any]]
+Shapes = dict[str, tuple[int, ...]]
+
+
+def part_of(arrays: Arrays, part: str) -> Weights:
+    """The arrays named ``part.*``, without that prefix."""
+    prefix = part + "."
+    return {name.removeprefix(prefix): array for name, array in arrays.items() if name.startswith(prefix)}
+
+
+def acting_part(names: Iterable[str]) -> str:
+    """Which part of a learner's parameters acts: its ``average`` if one is kept, else its ``actor``."""
+    return "average" if any(name.startswith("average.") for name in names) else "actor"
+
+
+def acting_parameters(weights: Arrays) -> Weights:
+    """The parameters, named ``actor.*``, of the actor that is evaluated and exported: the average, if one is kept.
+
+    Statistics of observations are among them, where the learner normalises those.
+    """
+    kept = part_of(weights, acting_part(weights))
+    kept |= {name: array for name, array in weights.items() if name.startswith("normalisation.")}
+    return {f"actor.{name}": array for name, array in kept.items()}
+
+
+def check_finite(weights: Arrays) -> None:
+    """Check weights that came from elsewhere.
+
+    Raises:
+        ProtocolError: if they are not all finite.
+    """
+    for name, array in weights.items():
+        if not np.isfinite(array).all():
+            raise ProtocolError(f"weights are expected to be finite; {name} is not")
+
+
+def mlp_shapes(part: str, inputs: int, hidden: Sequence[int], outputs: int) -> Shapes:
+    """Names and shapes of the parameters of ``common.networks.mlp``, each name beginning with ``part.``."""
+    shapes: Shapes = {}
+    for number, (width, out) in enumerate(pairwise([inputs, *hidden, outputs])):
+        shapes[f"{part}.{2 * number}.weight"] = (out, width)
+        shapes[f"{part}.{2 * number}.bias"] = (out,)
+    return shapes

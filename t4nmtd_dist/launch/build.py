@@ -1,0 +1,60 @@
+"""From a plan to a program: compile the task, check its environment, divide its sub-tasks among processes."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+
+from t4nmtd_dist.core.devices import Device
+from t4nmtd_dist.environments.cautions import cautions
+from t4nmtd_dist.environments.preparation import prepared
+from t4nmtd_dist.launch.program import Program, make_roles
+from t4nmtd_dist.method.compiled import CompiledTask, compile_task
+from t4nmtd_dist.runs.options import RunOptions
+from t4nmtd_dist.runs.planning import RunPlan
+from t4nmtd_dist.wire.auth.keys import load_client
+
+
+def build_program(
+    plan: RunPlan,
+    options: RunOptions,
+    *,
+    workers: int | None = None,
+    device: Device = "cpu",
+    keys: Path | None = None,
+    dashboard: bool = False,
+    warn: Callable[[str], object] = print,
+) -> Program:
+    """The program of a run: everything is checked, nothing is started or written.
+
+    Args:
+        plan: of the run.
+        options: that the plan was made from.
+        workers: how many processes learn; None for one per sub-task.
+        device: where they train.
+        keys: folder of keys, for a machine that is shared with others.
+        dashboard: whether to show the run on this terminal.
+        warn: called with a line about what the user should know of the environment.
+
+    Raises:
+        ConfigError: if the sub-tasks cannot be divided among so many workers.
+        EnvError: if the environment does not do what the run needs.
+        KeyFileError: if the keys cannot be used.
+    """
+    task = ready_task(plan, options, warn)
+    roles = make_roles(task.decomposition.pids, workers)
+    if keys is not None:
+        load_client(keys)
+    return Program(plan, task, options, roles, keys, device, dashboard)
+
+
+def ready_task(plan: RunPlan, options: RunOptions, warn: Callable[[str], object]) -> CompiledTask:
+    """The task compiled, its environment checked, and all that was left to the environment chosen.
+
+    Raises:
+        EnvError: if the environment does not do what the run needs.
+    """
+    task = prepared(compile_task(plan.config, translator=options.translator, seed=plan.seed))
+    for text in cautions(task):
+        warn(text)
+    return task

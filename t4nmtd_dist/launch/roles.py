@@ -1,0 +1,83 @@
+"""The roles of a program as objects of this process, for launchers that fork and for the command-line programs."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from t4nmtd_dist.launch.program import Program, Role
+from t4nmtd_dist.method.compiled import CompiledTask
+from t4nmtd_dist.runs.directory import CHECKPOINTS_FOLDER
+from t4nmtd_dist.runs.options import RunOptions
+from t4nmtd_dist.runs.planning import RunPlan
+
+if TYPE_CHECKING:
+    from coordinator.endpoints import Access
+    from coordinator.service import CoordinatorService
+    from workers.options import WorkerOptions
+
+LEASE_S = 10.0
+
+
+def coordinator_service(
+    plan: RunPlan,
+    task: CompiledTask,
+    options: RunOptions,
+    access: Access,
+    *,
+    lease_s: float = LEASE_S,
+    by_hand: bool = False,
+) -> CoordinatorService:
+    """A coordinator that listens already; ``serve`` runs it.
+
+    Args:
+        plan: of the run.
+        task: compiled and checked (``build.ready_task``).
+        options: checkpoint interval, TensorBoard and restart are taken from there.
+        access: where workers are heard, where the state is published, and for whom.
+        lease_s: seconds of silence after which a worker counts as lost.
+        by_hand: whether people start the workers, who want to be told the commands.
+
+    Raises:
+        ConfigError: if the task's weights fit into no message, or an endpoint cannot be used.
+        KeyFileError: if the keys cannot be used.
+        RunError: if the run directory cannot be used.
+    """
+    from coordinator.service import CoordinatorService
+    from coordinator.state import CoordinatorState, RunSettings
+    from t4nmtd_dist.wire.task_size import check_task_size
+
+    check_task_size(task)
+    budget, run_id = plan.config.max_interactions, plan.identity.run_id
+    state = CoordinatorState(task, RunSettings(plan.seed, budget, str(plan.directory), lease_s, run_id))
+    return CoordinatorService(
+        state,
+        plan.directory,
+        access,
+        restart=options.restart,
+        resume=plan.resumes,
+        checkpoint_every_s=options.checkpoint_every,
+        tensorboard=options.tensorboard,
+        by_hand=by_hand,
+    )
+
+
+def worker_options(program: Program, role: Role, control: str) -> WorkerOptions:
+    """How a learner or evaluator of a program starts; ``workers.worker.Worker`` takes it.
+
+    Args:
+        program: what runs.
+        role: one of its workers.
+        control: the coordinator's endpoint.
+    """
+    from workers.options import CheckpointOptions, Connection, WorkerOptions
+
+    learns = role.kind == "learner"
+    kept = CheckpointOptions(program.directory / CHECKPOINTS_FOLDER, program.options.checkpoint_every)
+    return WorkerOptions(
+        Connection(control, keys=program.keys, trust=True),
+        role="learner" if learns else "evaluator",
+        pids=role.pids,
+        instance=role.name,
+        checkpoints=kept if learns else None,
+        device=program.device if learns else "cpu",
+    )

@@ -1,0 +1,102 @@
+"""The ``serial`` launcher: all roles in this process, in lock-step; ``check`` does the work, one round at a time."""
+
+from __future__ import annotations
+
+import sys
+import time
+
+from coordinator.events import Finish
+from coordinator.finishing import patience, write_result
+from coordinator.run_logger import Recorder
+from coordinator.state import RunSettings
+from t4nmtd_dist.launch.program import Program
+from t4nmtd_dist.launch.protocol import BUDGET_SPENT, SOLVED, STOPPED, Handle, Supervisor
+from t4nmtd_dist.launch.serial import SerialRun
+from t4nmtd_dist.launch.serial_checkpointing import SerialKeeper
+from t4nmtd_dist.runs.directory import RunDirectory
+from t4nmtd_dist.runs.resuming import write_identity
+
+PAUSE_S = 0.1
+CODES = {"solved": SOLVED, "budget spent": BUDGET_SPENT}
+
+
+def start(program: Program, supervisor: Supervisor) -> Handle:
+    """Make a program ready to run in this process; see ``Launcher.start``."""
+    return SerialHandle(program, supervisor)
+
+
+class SerialHandle:
+    """A run in this process, its directory, its recorder and its checkpoints.
+
+    Args:
+        program: what runs.
+        supervisor: asked whether to give up waiting for room on a full disk.
+
+    Raises:
+        RunError: if another process uses the run directory.
+    """
+
+    endpoints = None
+
+    def __init__(self, program: Program, supervisor: Supervisor) -> None:
+        self._program, self._interrupted = program, supervisor.interrupted
+        plan = program.plan
+        self._directory = RunDirectory(plan.directory, resume=plan.resumes)
+        self._directory.lock()
+        settings = RunSettings(
+            plan.seed,
+            plan.config.max_interactions,
+            str(plan.directory),
+            lease_s=float("inf"),
+            run_id=plan.identity.run_id,
+        )
+        self._run = SerialRun(program.task, settings, time.monotonic, program.device)
+        self._keeper = SerialKeeper(self._run, self._directory, program.options.checkpoint_every)
+        if plan.resumes:
+            self._keeper.go_on()
+        write_identity(plan.directory, plan.identity)
+        self._recorder = Recorder(self._run.coordinator, self._directory, program.options.tensorboard, _say)
+
+    def check(self) -> bool:
+        """One round; False once the run is over."""
+        if self._run.coordinator.outcome is not None:
+            return False
+        self._run.round()
+        self._record_notes()
+        self._recorder.metrics()
+        self._keeper.turn()
+        return self._run.coordinator.outcome is None
+
+    def _record_notes(self) -> None:
+        for note in self._run.take_notes():
+            self._recorder.record(note)
+
+    def interrupt(self) -> None:
+        """End the run now."""
+        self._run.stop("interrupted")
+
+    def exit_code(self, timeout_s: float) -> int:
+        """Write the result, however long that takes; the exit code.
+
+        Raises:
+            RunError: if the result cannot be written.
+        """
+        self._record_notes()
+        outcome = self._run.coordinator.outcome
+        if self._program.plan.resumes and outcome == "solved":
+            self._recorder.record(Finish("solved", "the result is written now"))
+        pause = patience(lambda: time.sleep(PAUSE_S), self._interrupted)
+        write_result(self._recorder, self._keeper, _say, pause)
+        return CODES.get(outcome or "", STOPPED)
+
+    def end(self) -> None:
+        """Give the run directory back."""
+        self._directory.unlock()
+
+    def failure(self) -> str:
+        """Unreachable as long as ``exit_code`` returns an outcome or raises."""
+        return f"the run in {self._program.directory} ended without an outcome"
+
+
+def _say(text: str) -> None:
+    print(f"t4nmtd: {text}", file=sys.stderr, flush=True)

@@ -1,0 +1,129 @@
+"""T4NMTD: one sub-task for each literal, joined by a Q table (paper, Algorithm 1 and the choices of Algorithm 2)."""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Iterable, Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from t4nmtd_dist.automata.deadline import Deadline
+from t4nmtd_dist.automata.dfa import DFA
+from t4nmtd_dist.automata.formula import names_in_order
+from t4nmtd_dist.core.config import TaskConfig
+from t4nmtd_dist.method.decomposition import Decomposition
+from t4nmtd_dist.method.decomposition import decompose as decompose_automaton
+from t4nmtd_dist.method.high_level import QEntries, QTable
+from t4nmtd_dist.method.protocol import NO_TARGET, Change, Ending, Mask, Reading, States
+from t4nmtd_dist.method.roles import Role, role_of
+from t4nmtd_dist.method.start_states import InitialStateBuffer, StartState, sample_starts
+
+
+def decompose(config: TaskConfig, dfa: DFA, *, seed: int, deadline: Deadline | None) -> Decomposition:
+    """The sub-tasks under the task's settings; see ``method.decomposition.decompose``."""
+    settings = config.decomposition
+    return decompose_automaton(
+        dfa,
+        exclusive=config.exclusive,
+        mode=settings.mode,
+        prune=settings.prune,
+        keep=settings.keep,
+        order=names_in_order(config.formula),
+        seed=seed,
+        deadline=deadline,
+    )
+
+
+def build(config: TaskConfig, dfa: DFA, decomposition: Decomposition, rho: NDArray[np.float64]) -> T4NMTD:
+    """See ``MethodModule.build``."""
+    return T4NMTD(config, dfa, decomposition, rho)
+
+
+class T4NMTD:
+    """Sub-tasks as roles; see ``Method`` for what each rule means.
+
+    Attributes:
+        q_table: Q(q, T).
+    """
+
+    def __init__(self, config: TaskConfig, dfa: DFA, decomposition: Decomposition, rho: NDArray[np.float64]) -> None:
+        self._config, self._dfa, self._decomposition, self._rho = config, dfa, decomposition, rho
+        self._roles: dict[str, Role] = {}
+        self.q_table = QTable(
+            decomposition,
+            dfa.accepting | dfa.error,
+            alpha=config.high_level.alpha,
+            gamma=config.learner.gamma,
+            epsilon=config.high_level.epsilon,
+            smdp_discount=config.high_level.smdp_discount,
+        )
+
+    def role(self, name: str) -> Role:
+        """The sub-task; see ``Method.role``."""
+        if name not in self._roles:
+            self._roles[name] = role_of(self._config, self._dfa, self._decomposition, self._rho, name)
+        return self._roles[name]
+
+    def starts(
+        self, role: str, buffer: InitialStateBuffer, count: int, rng: np.random.Generator
+    ) -> Sequence[StartState]:
+        """Uniform over the DFA states present in B_iota, then uniform within (Algorithm 2, line 1)."""
+        return sample_starts(buffer, self.role(role).reset_q, count, rng)
+
+    def ends(self, role: str, q: States, q_next: States, steps: States) -> NDArray[np.int8]:
+        """An attempt ends at a target, where the sub-task has no transition, and when its steps are spent."""
+        own = self.role(role)
+        over = own.tables.target[q, q_next] | own.stranded(q, q_next) | (steps >= own.attempt_steps)
+        return np.where(over, Ending.RESTART, Ending.KEEP).astype(np.int8)
+
+    def hands_over(self, role: str, q: States, q_next: States) -> Mask:
+        """Targets are handed over, as in the paper, or all changes: ``learner.hand_over``."""
+        if self._config.learner.hand_over == "changes":
+            return np.not_equal(q, q_next)
+        reached: Mask = self.role(role).tables.target[q, q_next]
+        return reached
+
+    def receivers(self, role: str, q: int, rng: np.random.Generator) -> Collection[str]:
+        """T_iota' ~ E(Q, q) gets the state."""
+        chosen = self.q_table.choose(q, rng)
+        return () if chosen is None else (chosen,)
+
+    def reads(self, role: str) -> Reading:
+        """Own rows and peers', in every DFA state in which the sub-task has a transition (docs/decisions/016)."""
+        return Reading(np.flatnonzero(self.role(role).tables.available).astype(np.int32), "all")
+
+    def successors(self, role: str, q_next: States, rng: np.random.Generator) -> list[str | None]:
+        """Policy intervention: the peer T_iota' ~ E(Q, q'); the own critic where no sub-task is available."""
+        return [self.q_table.choose(q, rng) or role for q in q_next.tolist()]
+
+    def choose(
+        self,
+        q: Sequence[int],
+        rng: np.random.Generator | None = None,
+        *,
+        observations: NDArray[np.float32] | None = None,
+        among: Collection[str] | None = None,
+    ) -> list[str | None]:
+        """E(Q, q), or arg max Q(q, .) without ``rng``; observations do not matter."""
+        if rng is None:
+            return [self.q_table.greedy(each, among) for each in q]
+        return [self.q_table.choose(each, rng, among) for each in q]
+
+    def told(self, role: str, changes: Iterable[Change]) -> None:
+        """Update Q(q, T) for every change, toward 0 for an attempt that failed (Algorithm 1)."""
+        for q, q_next, steps, reward in changes:
+            if q_next == NO_TARGET:
+                self.q_table.fail(q, role)
+            else:
+                self.q_table.update(q, role, reward, q_next, steps)
+
+    def schedule(self) -> None:
+        """All sub-tasks are learned at once."""
+
+    def entries(self) -> QEntries:
+        """Every known Q(q, T)."""
+        return self.q_table.entries()
+
+    def load(self, entries: Iterable[tuple[int, str, float]]) -> None:
+        """Replace all of Q."""
+        self.q_table.load(entries)

@@ -1,0 +1,70 @@
+"""The layers that the settings of a task are made of, and which of them each setting comes from."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+from functools import reduce
+from pathlib import Path
+from typing import Any
+
+from t4nmtd_dist.core.config import TaskConfig, learner_defaults
+from t4nmtd_dist.core.setting_sources import merge, read_toml, settings_from_flags
+
+DEFAULT = "default"
+
+Key = tuple[str, ...]
+
+
+@dataclass(frozen=True)
+class Layer:
+    """Settings from one place.
+
+    Attributes:
+        origin: the place, for people: a file or a flag.
+        data: nested mappings, as TOML gives them.
+    """
+
+    origin: str
+    data: Mapping[str, Any]
+
+
+def setting_layers(task: Path, configs: Iterable[Path] = (), flags: Iterable[str] = ()) -> list[Layer]:
+    """A task file, files laid over it and ``--set`` flags, the lowest layer first.
+
+    Raises:
+        ConfigError: if a file cannot be read or a flag is malformed.
+    """
+    files = [Layer(f"--config {path}", read_toml(path)) for path in configs]
+    return [Layer(task.name, read_toml(task)), *files, Layer("--set", settings_from_flags(flags))]
+
+
+def merged(layers: Iterable[Layer]) -> dict[str, Any]:
+    """What the layers say together."""
+    return reduce(merge, (layer.data for layer in layers), {})
+
+
+def origin(key: Key, layers: Iterable[Layer], config: TaskConfig) -> str:
+    """Where the value of a setting comes from: a layer, the defaults of the chosen algorithm, or those of all.
+
+    Args:
+        key: names from the section to the setting.
+        layers: that the settings are made of.
+        config: what they are.
+    """
+    for layer in reversed(list(layers)):
+        if _has(layer.data, key):
+            return layer.origin
+    if key == ("environment", "path") and config.environment.path:
+        return "folder of the task file"
+    algorithm = config.learner.algorithm
+    own = {"learner": learner_defaults(algorithm)}
+    return f"{DEFAULT} of {algorithm}" if _has(own, key) else DEFAULT
+
+
+def _has(data: Any, key: Key) -> bool:
+    for name in key:
+        if not isinstance(data, Mapping) or name not in data:
+            return False
+        data = data[name]
+    return True

@@ -1,0 +1,22 @@
+"""ZeroMQ's generic types with the parameters that this project uses, and the events that its monitors report."""
+
+from __future__ import annotations
+
+import zmq
+
+MONITORED = (
+    zmq.EVENT_CONNECTED
+    | zmq.EVENT_HANDSHAKE_SUCCEEDED
+    | zmq.EVENT_HANDSHAKE_FAILED_AUTH
+    | zmq.EVENT_HANDSHAKE_FAILED_PROTOCOL
+    | zmq.EVENT_HANDSHAKE_FAILED_NO_DETAIL
+    | zmq.EVENT_DISCONNECTED
+)
+
+Socket = zmq.Socket[bytes]
+Context = zmq.Context[Socket]
+
+
+def new_context() -> Context:
+    """A new context; a process needs one."""
+    return zmq.Context()

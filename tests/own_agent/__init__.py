@@ -1,0 +1,1 @@
+"""An agent of a user's own, as far as its settings go."""
