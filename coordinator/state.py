@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from coordinator.bulletin import Bulletin
 from coordinator.checks import finite_figures
 from coordinator.evaluator_duty import EvaluatorDuty
-from coordinator.event_log import EventLog, RunClock
+from coordinator.event_log import EVENTS_KEPT, EventLog, RunClock
 from coordinator.events import (
     Action,
     Event,
@@ -26,11 +26,20 @@ from coordinator.events import (
     Send,
 )
 from coordinator.intake import Intake, usable
+from coordinator.invariants import (
+    check_evaluations,
+    check_events,
+    check_leases,
+    check_q_table,
+    check_records,
+    check_stand_ins,
+)
 from coordinator.learner_registry import LearnerRecord, interactions, processor_s
 from coordinator.leasing import Leasing
 from coordinator.run_settings import RunSettings
 from coordinator.stuck import StuckWatch
 from t4nmtd_dist.core.errors import ProtocolError
+from t4nmtd_dist.core.invariants import Monotone, require
 from t4nmtd_dist.method.compiled import CompiledTask
 from t4nmtd_dist.method.start_states import InitialStateBuffer
 from t4nmtd_dist.runs.report import solved_text
@@ -87,6 +96,7 @@ class CoordinatorState:
         self._bulletin, self._stuck, self._intake = Bulletin(), StuckWatch(), Intake(task)
         self.snapshot: NDArray[Any] | None = None
         self.outcome: Outcome | None = None
+        self._growing = Monotone()
 
     @property
     def events(self) -> deque[EventLine]:
@@ -252,3 +262,24 @@ class CoordinatorState:
         peers = sorted({lease.holder for lease in leases})
         logged = self._log.add(f"{outcome}: {reason}")
         return [logged, *(Send(peer, Goodbye(reason=outcome)) for peer in peers), Finish(outcome, reason)]
+
+    # For tests
+
+    def validate(self) -> None:
+        """Check what must hold between any two events; tests do so after each.
+
+        Raises:
+            InvariantError: if it does not hold.
+        """
+        now, epochs = self.clock.now, self.leases.epochs() | self.evaluator_lease.epochs()
+        check_leases(self.leases, now)
+        check_leases(self.evaluator_lease, now)
+        check_stand_ins(self.stand_ins, self.evaluator_lease)
+        check_records(self.records, self.leases, self.task, now)
+        check_q_table(self.high_level.entries(), self.task)
+        check_evaluations(self.evaluations, self.records)
+        check_events(self.events, EVENTS_KEPT)
+        require(self.snapshot is None or self.snapshot.ndim == 1, "a start state has more than one dimension")
+        require(self.outcome is not None or not self.evaluations.solved, "the task is solved and the run goes on")
+        over = {"the outcome": float(self.outcome is not None), "elapsed_s": self.elapsed_s}
+        self._growing.check({f"epoch of {place}": epoch for place, epoch in epochs.items()} | over)
