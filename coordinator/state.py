@@ -276,7 +276,7 @@ class CoordinatorState:
         check_leases(self.evaluator_lease, now)
         check_stand_ins(self.stand_ins, self.evaluator_lease)
         check_records(self.records, self.leases, self.task, now)
-        check_q_table(self.high_level.entries(), self.task)
+        check_q_table(self.method.entries(), self.task)
         check_evaluations(self.evaluations, self.records)
         check_events(self.events, EVENTS_KEPT)
         require(self.snapshot is None or self.snapshot.ndim == 1, "a start state has more than one dimension")

@@ -91,7 +91,7 @@ def overfull(state: CoordinatorState) -> None:
 
 
 def q_entry(q: int, pid: str, value: float) -> Callable[[CoordinatorState], None]:
-    return lambda state: state.high_level.load([(q, pid, value)])
+    return lambda state: state.method.load([(q, pid, value)])
 
 
 def pending(**changed: Any) -> Callable[[CoordinatorState], None]:

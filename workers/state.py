@@ -125,8 +125,8 @@ class WorkerState:
             InvariantError: if it does not hold.
         """
         held = self.held
-        require(len(set(held)) == len(held), f"a place is held twice: {held}")
-        require(not (self._standing_by and held), f"standing by while holding {held}")
+        require(len(set(held)) == len(held), "a place is held twice: {}", held)
+        require(not (self._standing_by and held), "standing by while holding {}", held)
         require(self._share_due is None or self.role == "learner", "an evaluator waits for a share of the sub-tasks")
         require(self.role == "learner" or len(self._places) <= 1, "an evaluator wants several places")
         for place in self._places:
@@ -253,8 +253,8 @@ def _wants_the_same(place: _Place, granted: Granted) -> bool:
 
 def _check_place(place: _Place, role: Role) -> None:
     wanted, held, kept = place.wanted, place.held, place.kept
-    require(held is None or kept is None, f"{held} is held in the place of {kept}")
-    require(FIRST_RETRY_S <= place.retry <= LONGEST_RETRY_S, f"claims are {place.retry} s apart")
+    require(held is None or kept is None, "{} is held in the place of {}", held, kept)
+    require(FIRST_RETRY_S <= place.retry <= LONGEST_RETRY_S, "claims are {} s apart", place.retry)
     named = held is None or wanted in (None, held) or LIKE_A_NUMBER.fullmatch(str(wanted)) is not None
-    require(named, f"{held} is held, {wanted} was wanted")
+    require(named, "{} is held, {} was wanted", held, wanted)
     require(role == "learner" or (held in (None, role) and kept is None), f"an evaluator holds {held}, keeps {kept}")

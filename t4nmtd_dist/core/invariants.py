@@ -9,14 +9,14 @@ class InvariantError(AssertionError):
     """A state machine has come into a state that must not be: a defect of the program, whatever was sent to it."""
 
 
-def require(holds: bool, text: str) -> None:
+def require(holds: bool, text: str, *values: object) -> None:
     """Raise if an invariant does not hold.
 
     Raises:
-        InvariantError: with the text.
+        InvariantError: with the text, in which ``values`` stand for its ``{}``.
     """
     if not holds:
-        raise InvariantError(text)
+        raise InvariantError(text.format(*values))
 
 
 class Monotone:
@@ -32,6 +32,6 @@ class Monotone:
             InvariantError: if one is smaller, or missing.
         """
         for name, before in self._seen.items():
-            require(name in numbers, f"{name} was {before:g} and is gone")
-            require(numbers[name] >= before, f"{name} fell from {before:g} to {numbers[name]:g}")
+            require(name in numbers, "{} was {:g} and is gone", name, before)
+            require(numbers[name] >= before, "{} fell from {:g} to {:g}", name, before, numbers[name])
         self._seen = dict(numbers)
