@@ -14,8 +14,9 @@ from small_sac import small_sac_task
 from small_tasks import START, TO_PASSENGER_2, small_task, snapshot_after
 
 from coordinator.endpoints import Access
+from coordinator.run_settings import RunSettings
 from coordinator.service import CoordinatorService
-from coordinator.state import CoordinatorState, RunSettings
+from coordinator.state import CoordinatorState
 from t4nmtd_dist.agents.common.off_policy import OffPolicyLearner
 from t4nmtd_dist.agents.common.peer_values import MixedPeers, PeerCritics
 from t4nmtd_dist.agents.common.replay_buffer import ReplayBuffer

@@ -14,7 +14,7 @@ from hypothesis.extra import numpy as hnp
 from numpy.typing import NDArray
 from small_tasks import TINY, own_task
 
-from coordinator.state import RunSettings
+from coordinator.run_settings import RunSettings
 from t4nmtd_dist.agents.common.normalisation import LIMIT, Normalisation
 from t4nmtd_dist.agents.common.peer_values import LocalPeers, NoPeers, PeerValues, Questions
 from t4nmtd_dist.agents.protocol import Learner

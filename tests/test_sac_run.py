@@ -15,8 +15,8 @@ from hypothesis.extra import numpy as hnp
 from numpy.typing import NDArray
 from small_sac import AT_G1, PIDS, START, TO_G2, TO_G3, TO_G4, averaged, product_states, small_sac, small_sac_task, twin
 
+from coordinator.run_settings import RunSettings
 from coordinator.snapshot import summary
-from coordinator.state import RunSettings
 from t4nmtd_dist.agents.common import product_states as networks_states
 from t4nmtd_dist.agents.common.action_bounds import scaled
 from t4nmtd_dist.agents.common.off_policy import OffPolicyLearner

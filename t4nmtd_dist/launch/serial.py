@@ -11,8 +11,9 @@ from dataclasses import dataclass
 import torch
 
 from coordinator.events import Action, Event, Finish, Interrupted, Received, RecordEvaluation, Send, Tell
+from coordinator.run_settings import RunSettings
 from coordinator.saved_state import load_saved_state, saved_state
-from coordinator.state import CoordinatorState, RunSettings
+from coordinator.state import CoordinatorState
 from t4nmtd_dist.agents.common.peer_values import InterventionCounts, LocalPeers, NoPeers, PeerCritics
 from t4nmtd_dist.core.devices import Device
 from t4nmtd_dist.core.errors import LeaseError
