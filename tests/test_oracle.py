@@ -11,6 +11,7 @@ from t4nmtd_dist.wire.codec import decode, encode
 from t4nmtd_dist.wire.messages import KINDS
 
 
+@pytest.mark.process
 @pytest.mark.training
 @pytest.mark.process
 @pytest.mark.timeout(600)

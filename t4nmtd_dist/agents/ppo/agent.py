@@ -57,14 +57,11 @@ class PPOLearner:
         self._context, self._config, self._rng = context, config, context.rng()
         self._normalisation = context.normalisation()
         self.network = _initial_network(context)
-        self._update = PPOUpdate(self.network, config, context.device, self._rng, self._pulse)
+        self._update = PPOUpdate(self.network, config, context.device, self._rng)
         count = len(self.rollout.observations)
         self.trajectory = Trajectory.empty(config.rollout, count, context.inputs, context.observation_size)
         self.published = self.replica()
         self.version = 0
-
-    def _pulse(self) -> None:
-        self.rollout.pulse()  # looked up anew: the worker may replace it at any time
 
     @property
     def gradient_steps(self) -> int:
