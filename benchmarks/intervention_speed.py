@@ -42,8 +42,9 @@ import psutil
 import tomli_w
 
 from coordinator.endpoints import Access
+from coordinator.run_settings import RunSettings
 from coordinator.service import CoordinatorService
-from coordinator.state import CoordinatorState, RunSettings
+from coordinator.state import CoordinatorState
 from envs.racecar_track import TARGET_RADIUS, TARGETS, on_track
 from t4nmtd_dist.environments.preparation import prepared
 from t4nmtd_dist.launch.command_lines import python_command

@@ -4,7 +4,7 @@
 
 Both have the same networks, learning rate, batch, discount, target step and initial entropy coefficient, begin with the
 same number of uniformly random actions and then make one update per interaction, of one-step targets; time-outs
-bootstrap. Ours is what every learner is made of, ``SACUpdater`` and ``Experience``, driven by the plain loop below:
+bootstrap. Ours is what every learner is made of, ``SACUpdater`` and ``ReplayBuffer``, driven by the plain loop below:
 no exploration by waves, no DFA (one with a single state), Pendulum's own dense reward beside the replay.
 
 Every return is the mean of 20 deterministic episodes, from the same starts for all. The two train in turns, so that a
@@ -42,7 +42,7 @@ from stable_baselines3 import SAC
 
 from t4nmtd_dist.agents.common.action_bounds import scaled
 from t4nmtd_dist.agents.common.batches import Batch
-from t4nmtd_dist.agents.common.replay_buffer import Experience
+from t4nmtd_dist.agents.common.replay_buffer import ReplayBuffer
 from t4nmtd_dist.agents.sac.fast_cpu.update import SACUpdater
 from t4nmtd_dist.agents.sac.updater import SACSettings
 from t4nmtd_dist.method.rewards import SubtaskTables
@@ -90,7 +90,7 @@ class Ours:
         self._low, self._high = space.low, space.high
         self._observation: Floats = self._env.reset(seed=seed)[0]
         observation_size, action_size = len(self._observation), len(space.low)
-        self.experience = Experience(interactions, 1, observation_size, action_size)
+        self.replay_buffer = ReplayBuffer(interactions, 1, observation_size, action_size)
         self._rewards = np.zeros(interactions, np.float32)  # the replay's come from a DFA
         self._updater = SACUpdater(observation_size, action_size, settings, seed)
         self._rng = np.random.default_rng(seed)
@@ -105,12 +105,12 @@ class Ours:
         """As ``OffPolicyAlgorithm.learn`` of Stable-Baselines3: a step, then an update once enough was seen."""
         for _ in range(interactions):
             self._step()
-            if len(self.experience) > STARTS:
+            if len(self.replay_buffer) > STARTS:
                 self._updater.update(self._draw())
                 self._updates += 1
 
     def _step(self) -> None:
-        before, number = self._observation[None], len(self.experience)
+        before, number = self._observation[None], len(self.replay_buffer)
         if number < STARTS:
             action = self._rng.uniform(-1, 1, (1, len(self._low))).astype(np.float32)
         else:
@@ -119,12 +119,12 @@ class Ours:
         over = terminated or truncated
         q = symbols = np.zeros(1, np.int64)
         ended, fell = np.array([over]), np.array([terminated])
-        self.experience.add(before, q.astype(np.int32), action, symbols, after[None], fell, ended, NO)
+        self.replay_buffer.add(before, q.astype(np.int32), action, symbols, after[None], fell, ended, NO)
         self._rewards[number] = reward
         self._observation = self._env.reset()[0] if over else after
 
     def _draw(self) -> Batch:
-        experience = self.experience
+        experience = self.replay_buffer
         rows = experience.sample(BATCH, 0.0, self._rng)
         returns = experience.returns(rows, experience.q[rows], ONE_STATE, DELTA, GAMMA, 1)
         columns = (

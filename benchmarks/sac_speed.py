@@ -35,7 +35,7 @@ from stable_baselines3.common.logger import Logger
 from t4nmtd_dist.agents.common.batch_source import BatchSource
 from t4nmtd_dist.agents.common.batches import Batch
 from t4nmtd_dist.agents.common.relabelling import ExperienceReader
-from t4nmtd_dist.agents.common.replay_buffer import Experience
+from t4nmtd_dist.agents.common.replay_buffer import ReplayBuffer
 from t4nmtd_dist.agents.sac.config import SACConfig
 from t4nmtd_dist.agents.sac.fast_cpu.matmul import multiply
 from t4nmtd_dist.agents.sac.fast_cpu.update import SACUpdater
@@ -91,10 +91,10 @@ class Sampling:
         self._source = BatchSource(PID, own, reader, sac, method, self._rng)
         self._source.others = {next(pid for pid in pids if pid != PID): peers}
 
-    def _filled(self, task: CompiledTask, readable: NDArray[np.int32]) -> Experience:
+    def _filled(self, task: CompiledTask, readable: NDArray[np.int32]) -> ReplayBuffer:
         """Observations are as wide as leaves 76 for the networks; every 50th step ends an attempt, half succeed."""
         rng, width, symbols = self._rng, OBSERVATION - task.dfa.states, task.dfa.delta.shape[1]
-        experience = Experience(STORED // WORLDS, WORLDS, width, ACTIONS)
+        experience = ReplayBuffer(STORED // WORLDS, WORLDS, width, ACTIONS)
         for step in range(STORED // WORLDS):
             ended = np.full(WORLDS, step % ATTEMPT == ATTEMPT - 1)
             experience.add(

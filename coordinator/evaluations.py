@@ -161,7 +161,7 @@ class EvaluationSchedule:
 
     def consider(self, evaluated: EvaluatedPolicy) -> None:
         """Keep a policy as the best if none before it succeeded more often."""
-        if self.best is None or _rank(evaluated.row) >= _rank(self.best.row):
+        if self.best is None or rank(evaluated.row) >= rank(self.best.row):
             self.best = evaluated
 
     @property
@@ -196,6 +196,6 @@ class EvaluationSchedule:
         return self.history[-self.config.in_a_row].interactions if self.solved else None
 
 
-def _rank(row: EvaluationRow) -> float:
+def rank(row: EvaluationRow) -> float:
     """The success rate; one that is not a number is below all others."""
     return -1.0 if np.isnan(row.success_rate) else row.success_rate

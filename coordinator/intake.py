@@ -30,6 +30,19 @@ class Intake:
         self._config, self._dfa_states = task.config, task.dfa.states
         self._sizes: NetworkSizes | None = None
 
+    def take_weights(
+        self, pid: str, weights: Mapping[str, NDArray[Any]], version: int, records: Mapping[str, LearnerRecord]
+    ) -> str:
+        """Keep newer weights of a learner; why they cannot be used, empty if they can or are none."""
+        record = records[pid]
+        if not weights or version <= record.version:
+            return ""
+        trouble = self.weights_trouble(weights, version, records.values())
+        record.unusable = bool(trouble)
+        if not trouble:
+            record.version, record.weights = version, weights
+        return trouble
+
     def weights_trouble(
         self, weights: Mapping[str, NDArray[Any]], version: int, records: Iterable[LearnerRecord]
     ) -> str:

@@ -29,6 +29,9 @@ class LearnerRecord:
         earlier: counts of finished epochs.
         current: counts of this epoch.
         version: newest weights held, 0 for none.
+        lost: whether the log says that its lease ran out.
+        complained: whether the log tells of trouble with what it sent under this lease.
+        unusable: whether its newest weights were refused.
     """
 
     buffer: InitialStateBuffer
@@ -37,6 +40,9 @@ class LearnerRecord:
     current: LearnerStats = field(default_factory=LearnerStats)
     version: int = 0
     weights: Mapping[str, NDArray[Any]] = field(default_factory=dict)
+    lost: bool = False
+    complained: bool = False
+    unusable: bool = False
     _history: deque[tuple[float, LearnerStats]] = field(default_factory=deque)
 
     @property
@@ -77,6 +83,7 @@ class LearnerRecord:
         self.earlier = self.total
         self.current = LearnerStats()
         self.sequence = 0
+        self.lost = self.complained = self.unusable = False
         self._history.clear()
 
     def update(self, stats: LearnerStats, now: float) -> None:
@@ -93,3 +100,13 @@ class LearnerRecord:
         (then, before), (now, newest) = self._history[0], self._history[-1]
         span = max(now - then, 1e-9)
         return {name: (getattr(newest, name) - getattr(before, name)) / span for name in rated()}
+
+
+def interactions(records: Mapping[str, LearnerRecord]) -> int:
+    """Environment steps of all learners together, evaluation excluded."""
+    return sum(record.interactions for record in records.values())
+
+
+def processor_s(records: Mapping[str, LearnerRecord]) -> float:
+    """Processor time of all learners, seconds."""
+    return sum(record.total.processor_s for record in records.values())

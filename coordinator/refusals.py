@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 from coordinator.leases import Lease
 from coordinator.numbering import names_with_numbers
-from t4nmtd_dist.wire.messages import Claim, Refused
+from t4nmtd_dist.wire.messages import Claim, Refused, Sync
 
 
 def unknown_pid(task: str, pid: str, pids: Sequence[str]) -> Refused:
@@ -24,6 +24,16 @@ def live_lease(claim: Claim, place: str, lease: Lease | None, now: float) -> Ref
     learner = claim.role == "learner"
     text += "stop that worker first, or start this one without --pid to stand by" if learner else "standing by"
     return Refused(reason="lease is live", text=text, final=learner, pid=place)
+
+
+def stale_learner(sync: Sync, lease: Lease | None) -> Refused:
+    """A learner speaks under an epoch that is over, or that another connection holds; ``lease`` is the newest."""
+    if lease is None:
+        text = f"no lease on {sync.pid!r} is known here (the coordinator was started again); claim it again"
+    else:
+        text = f"epoch {sync.epoch} of {sync.pid} is over: {lease.instance} holds epoch {lease.epoch}"
+    final = lease is not None and sync.epoch != lease.epoch  # the same epoch: the same learner, connected anew
+    return Refused(reason="stale epoch", text=text, final=final, pid=sync.pid)
 
 
 def stale_evaluator(place: str) -> Refused:

@@ -65,6 +65,6 @@ def raise_counts(state: CoordinatorState, counts: State) -> None:
 
 
 def _raise_clock(state: CoordinatorState, counts: State) -> None:
-    state.earlier_s = max(state.earlier_s, counts["elapsed_s"])
+    state.clock.earlier_s = max(state.clock.earlier_s, counts["elapsed_s"])
     state.leases.raise_epochs(counts["epochs"])
     state.evaluator_lease.raise_epochs(counts["epochs"])

@@ -60,7 +60,7 @@ def dashboard_state(state: CoordinatorState, commands: WorkerCommands | None = N
 def status(state: CoordinatorState, clock: float, commands: WorkerCommands | None = None) -> Status:
     """The answer to ``t4nmtd status``; ``clock`` in seconds of Unix time, ``commands`` as above."""
     history = state.evaluations.history
-    evaluator = state.stand_ins.evaluator(state.now)
+    evaluator = state.stand_ins.evaluator(state.clock.now)
     return Status(
         program=__version__,
         clock=clock,
@@ -76,7 +76,7 @@ def status(state: CoordinatorState, clock: float, commands: WorkerCommands | Non
         solved_needed=state.task.config.evaluation.in_a_row,
         evaluator=evaluator.instance if evaluator else "",
         learners=[_learner_row(state, pid, record) for pid, record in state.records.items()],
-        critics={lease.place: lease.endpoint for lease in state.leases.holders(state.now)},
+        critics={lease.place: lease.endpoint for lease in state.leases.holders(state.clock.now)},
         success_needed=state.task.config.evaluation.success,
         solved_at=state.evaluations.solved_at,
         policy=_kept(state),
@@ -93,9 +93,9 @@ def missing(state: CoordinatorState, commands: WorkerCommands | None) -> list[Mi
     """Sub-tasks without a worker, and the evaluator if there is none, with the commands that bring them."""
     if commands is None or state.outcome is not None:
         return []
-    alone = [pid for pid in state.records if not state.leases.live(pid, state.now)]
+    alone = [pid for pid in state.records if not state.leases.live(pid, state.clock.now)]
     found = [Missing(what=pid, command=commands.learner(pid)) for pid in alone]
-    if state.stand_ins.evaluator(state.now) is None:
+    if state.stand_ins.evaluator(state.clock.now) is None:
         found.append(Missing(what="evaluator", command=commands.evaluator(), needed=False))
     return found
 
@@ -113,7 +113,7 @@ def _learner_row(state: CoordinatorState, pid: str, record: LearnerRecord) -> Le
         epoch=lease.epoch if lease else 0,
         version=record.version,
         starts_waiting=len(record.buffer),
-        heartbeat_age_s=state.now - lease.heard if lease else None,
+        heartbeat_age_s=state.clock.now - lease.heard if lease else None,
         total=total,
         rates=record.rates() if state.outcome is None else {},
         hint="\n".join(stuck_lines(pid, state.records, state.task)) if state.outcome is None else "",
@@ -124,7 +124,7 @@ def _phase(state: CoordinatorState, pid: str, reported: LearnerPhase) -> Learner
     lease = state.leases.get(pid)
     if lease is None or lease.released:
         return "free"
-    return reported if state.leases.live(pid, state.now) or state.outcome is not None else "lost"
+    return reported if state.leases.live(pid, state.clock.now) or state.outcome is not None else "lost"
 
 
 def _q_cells(state: CoordinatorState) -> list[QCell]:

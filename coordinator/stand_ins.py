@@ -15,12 +15,15 @@ class StandIns:
 
     Args:
         table: the leases on the evaluator's place.
+
+    Attributes:
+        epoch: of the newest stand-in's lease, 0 before the first.
     """
 
     def __init__(self, table: LeaseTable) -> None:
         self._table = table
         (self._place,) = table.places
-        self._epoch = 0
+        self.epoch = 0
         self._alone_since: float | None = None
         self._told = False
 
@@ -40,7 +43,7 @@ class StandIns:
 
     def begin(self, lease: Lease) -> str:
         """Note a stand-in's lease; what to tell of it: only the first without an evaluator is news."""
-        self._epoch = lease.epoch
+        self.epoch = lease.epoch
         told, self._told = self._told, True
         return "" if told else "no evaluator: the learners' workers evaluate between their turns"
 
@@ -55,4 +58,4 @@ class StandIns:
         return place == self._place and self._is_stand_in(lease) and self._table.release(place, epoch, holder)
 
     def _is_stand_in(self, lease: Lease | None) -> bool:
-        return lease is not None and lease.epoch == self._epoch
+        return lease is not None and lease.epoch == self.epoch

@@ -12,6 +12,7 @@ from typing import Any
 import pytest
 import torch
 from processes import Processes
+from validation import validate_after_every_event
 
 from t4nmtd_dist.wire.zmq_types import Context, new_context
 from workers.critic_service import CriticService
@@ -69,6 +70,14 @@ def processes(tmp_path: Path) -> Iterator[Processes]:
     started = Processes(tmp_path)
     yield started
     started.end()
+
+
+@pytest.fixture(autouse=True, scope="session")
+def _validated_state_machines() -> Iterator[None]:
+    """A state machine that comes into a state that must not be fails the test that brings it there."""
+    with pytest.MonkeyPatch.context() as patch:
+        validate_after_every_event(patch)
+        yield
 
 
 @pytest.fixture

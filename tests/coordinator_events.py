@@ -10,7 +10,8 @@ from numpy.typing import NDArray
 from small_tasks import small_task
 
 from coordinator.events import Action, Received, Send, Tick
-from coordinator.state import CoordinatorState, RunSettings
+from coordinator.run_settings import RunSettings
+from coordinator.state import CoordinatorState
 from t4nmtd_dist.agents.weight_checks import NetworkSizes, expected_shapes
 from t4nmtd_dist.method.compiled import CompiledTask
 from t4nmtd_dist.wire.codec import Envelope

@@ -1,12 +1,13 @@
 """What later commits are held against: numbers of short trainings, bytes of messages, and compiled tasks.
 
 ``tests/oracle/`` holds what one commit computed, ``test_oracle.py`` compares. A commit that is meant to change numbers
-says why and records anew: ``python tests/oracle.py --record``.
+says why and records anew: ``python tests/oracle.py --record``, or ``--record wire`` for that file alone.
 
 * ``serial.json``: for five tasks, what a short ``t4nmtd train --serial --seed 0`` leaves behind. Hashes of all arrays
   and generator states in its checkpoint and policy (weights, targets, optimisers, replay, start states), counters and
   Q entries in clear. Arrays are compared by content (type, shape, bytes), equal ones counting once: their names only
-  tell a reader what they were. Every learner makes gradient steps; ``SHORTER`` says what it takes to get there soon.
+  tell a reader what they were. Counters that come into being later are no difference. Every learner makes gradient
+  steps; ``SHORTER`` says what it takes to get there soon.
 * ``wire.json``: the frames of one message of every kind, with all fields and with the required ones only.
 * ``inspect/``: ``t4nmtd inspect --json`` of the eight tasks.
 
@@ -47,6 +48,7 @@ from t4nmtd_dist.wire.messages import KINDS
 
 RECORDED = Path(__file__).parent / "oracle"
 PROGRAM = Path(sysconfig.get_path("scripts")) / "t4nmtd"
+PARTS = ("serial", "wire", "inspect")
 TASKS = tuple(f"task{number}" for number in range(1, 9))
 
 SAC = ("sac.learning_starts=200", "sac.batch=32", "sac.updates_per_step=0.1", "evaluation.episodes=2")
@@ -62,7 +64,7 @@ SHORTER: dict[str, tuple[int, tuple[str, ...]]] = {
 
 SAME_EVERYWHERE = ("task7", "task8")  # their counters
 LIBRARIES = ("torch", "numpy", "gymnasium", "mujoco", "pymunk")
-TIMES = ("elapsed_s", "wall_s", "evaluations_processor_share")
+TIMES = ("elapsed_s", "wall_s", "processor_s", "evaluations_processor_share")
 SHARED = "all learners"
 DIGITS = 16  # of a SHA-256
 
@@ -206,11 +208,9 @@ def _is_q_entry(entry: Any) -> bool:
 # Messages and tasks
 
 
-def wire_frames() -> dict[str, dict[str, list[str]]]:
-    """The frames of a message of every kind in hexadecimal."""
-    return {
-        kind: {"all fields": _frames(kind, BODIES[kind]), "required": _frames(kind, _required(kind))} for kind in BODIES
-    }
+def wire_frames(kind: str) -> dict[str, list[str]]:
+    """The frames of a message in hexadecimal."""
+    return {"all fields": _frames(kind, BODIES[kind]), "required": _frames(kind, _required(kind))}
 
 
 def _required(kind: str) -> Json:
@@ -242,13 +242,25 @@ def same_machine(recorded: Json) -> str:
 def differences(task: str, recorded: Json, found: Json) -> list[str]:
     """How a training differs from what was recorded: a line for every learner and part."""
     lines = [
-        f"{task}: {part}: {recorded[part]} became {found[part]}"
+        f"{task}: {line}"
         for part in ("summary", "evaluations", "q", "policy_q")
-        if recorded[part] != found[part]
+        for line in _value_differences(part, recorded[part], found[part])
     ]
     for pid in sorted(recorded["learners"].keys() | found["learners"].keys()):
         lines += [f"{task}, {pid}: {line}" for line in _learner_differences(recorded, found, pid)]
     return lines
+
+
+def _value_differences(name: str, before: Any, after: Any) -> Iterator[str]:
+    """How recorded JSON data differs; keys that were not recorded are no difference."""
+    if isinstance(before, dict) and isinstance(after, dict):
+        for key, value in before.items():
+            yield from _value_differences(f"{name} {key}".strip(), value, after.get(key))
+    elif isinstance(before, list) and isinstance(after, list) and len(before) == len(after):
+        for i, (value, other) in enumerate(zip(before, after, strict=True)):
+            yield from _value_differences(f"{name}[{i}]", value, other)
+    elif before != after:
+        yield f"{name} was {before}, is {after}"
 
 
 def _learner_differences(recorded: Json, found: Json, pid: str) -> Iterator[str]:
@@ -256,7 +268,7 @@ def _learner_differences(recorded: Json, found: Json, pid: str) -> Iterator[str]
         yield "is only in what was " + ("recorded" if pid in recorded["learners"] else "found")
         return
     before, after = recorded["learners"][pid], found["learners"][pid]
-    yield from _counter_differences(before["counters"], after["counters"])
+    yield from _value_differences("", before["counters"], after["counters"])
     gone = _not_in(before["arrays"], after["arrays"])
     fresh = _not_in(after["arrays"], before["arrays"])
     if gone or fresh:
@@ -265,12 +277,6 @@ def _learner_differences(recorded: Json, found: Json, pid: str) -> Iterator[str]
         yield f"{len(fresh)} arrays were not recorded: {', '.join(fresh[:8])}" + ", ..." * (len(fresh) > 8)
     if lost := set(before["generators"]) - set(after["generators"]):
         yield f"{len(lost)} of {len(before['generators'])} generators are not as recorded"
-
-
-def _counter_differences(before: Mapping[str, str], after: Mapping[str, str]) -> Iterator[str]:
-    for name in sorted(before.keys() | after.keys()):
-        if before.get(name) != after.get(name):
-            yield f"{name} was {before.get(name)}, is {after.get(name)}"
 
 
 def _not_in(arrays: Mapping[str, str], others: Mapping[str, str]) -> list[str]:
@@ -283,7 +289,7 @@ def coarse_differences(task: str, recorded: Json, found: Json) -> list[str]:
     return [
         f"{task}, {pid}: {line}"
         for pid, learner in recorded["learners"].items()
-        for line in _counter_differences(_whole(learner), _whole(found["learners"][pid]))
+        for line in _value_differences("", _whole(learner), found["learners"][pid]["counters"])
     ]
 
 
@@ -304,13 +310,16 @@ def _dump(path: Path, data: Json) -> None:
     path.write_text(json.dumps(data, indent=1) + "\n", encoding="utf-8")
 
 
-def record(folder: Path) -> None:
-    """Compute everything and write it down."""
+def record(parts: Iterable[str], folder: Path) -> None:
+    """Compute what was asked for and write it down."""
     (folder / "inspect").mkdir(parents=True, exist_ok=True)
-    _dump(folder / "wire.json", wire_frames())
-    for task in TASKS:
+    if "wire" in parts:
+        _dump(folder / "wire.json", {kind: wire_frames(kind) for kind in BODIES})
+    for task in TASKS if "inspect" in parts else ():
         (folder / "inspect" / f"{task}.json").write_text(inspect_json(task), encoding="utf-8")
-    _dump(folder / "serial.json", {"fingerprint": fingerprint(), "tasks": {task: run_task(task) for task in SHORTER}})
+    if "serial" in parts:
+        found = {task: run_task(task) for task in SHORTER}
+        _dump(folder / "serial.json", {"fingerprint": fingerprint(), "tasks": found})
 
 
 def compare(folder: Path) -> list[str]:
@@ -324,16 +333,12 @@ def compare(folder: Path) -> list[str]:
 def main() -> int:
     """Record, or compare the trainings with a recording."""
     parser = argparse.ArgumentParser(description="Records what later commits are held against, or compares with it.")
-    parser.add_argument("--record", action="store_true", help="compute everything and write it down")
-    parser.add_argument("--record-wire", action="store_true", help="write down the bytes of messages only")
+    parser.add_argument("--record", nargs="*", choices=PARTS, help="compute these, by default all, and write them down")
     parser.add_argument("--into", type=Path, default=RECORDED, help="the folder to record into")
     parser.add_argument("--against", type=Path, default=RECORDED, help="the folder to compare with")
     given = parser.parse_args()
-    if given.record:
-        record(given.into)
-        return 0
-    if given.record_wire:
-        _dump(given.into / "wire.json", wire_frames())
+    if given.record is not None:
+        record(given.record or PARTS, given.into)
         return 0
     found = compare(given.against)
     print("\n".join(found) or "no difference")

@@ -16,8 +16,8 @@ from hypothesis import strategies as st
 from small_tasks import own_task
 from test_semantics import NAMES, formula_texts
 
+from coordinator.run_settings import RunSettings
 from coordinator.snapshot import dashboard_state
-from coordinator.state import RunSettings
 from t4nmtd_dist.automata.acceptance import LAST, acceptance_of, with_last
 from t4nmtd_dist.automata.formula import parse, satisfies
 from t4nmtd_dist.automata.translate import translate

@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 from small_tasks import TINY, own_task
 
-from coordinator.state import RunSettings
+from coordinator.run_settings import RunSettings
 from t4nmtd_dist.cli.check import check
 from t4nmtd_dist.core.config import EnvironmentConfig, LearnerConfig, TaskConfig, task_config
 from t4nmtd_dist.core.errors import EnvError

@@ -21,9 +21,10 @@ from test_sockets import DEADLINE_S, FREE_PORT, Running, answer, tell
 from coordinator.checkpointing import StateKeeper, go_on
 from coordinator.endpoints import Access
 from coordinator.run_logger import Recorder
+from coordinator.run_settings import RunSettings
 from coordinator.service import CoordinatorService
 from coordinator.snapshot import dashboard_state, status, summary
-from coordinator.state import CoordinatorState, RunSettings
+from coordinator.state import CoordinatorState
 from coordinator.ui.viewer import watch
 from t4nmtd_dist.core.errors import ProtocolError, RunError
 from t4nmtd_dist.wire.codec import Envelope, decode, encode
@@ -202,7 +203,7 @@ PARTS = {
     "coordinator.run_logger.Recorder.metrics": "recording metrics",
     "coordinator.run_logger.Recorder.record": "recording",
     "coordinator.checkpointing.StateKeeper.turn": "keeping a checkpoint",
-    "coordinator.state.CoordinatorState._notice_lost": "following Tick",
+    "coordinator.leasing.Leasing.report_lost": "following Tick",
 }
 
 
@@ -236,7 +237,7 @@ def soon(holds: Callable[[], object]) -> None:
 def test_a_message_that_breaks_the_coordinator_is_answered_and_others_are_heard(
     running: Running, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("coordinator.state.CoordinatorState._release", raises)
+    monkeypatch.setattr("coordinator.leasing.Leasing.release", raises)
     socket, granted = running.claim("p1")
     tell(socket, Release(pid="p1", epoch=granted.epoch))
     failure = answer(socket)

@@ -95,7 +95,7 @@ def test_adam_of_a_module_is_torchs_adam_bit_for_bit() -> None:
 def test_ppo_computes_gradients_where_its_network_is() -> None:
     """Tensors of the meta device have no numbers: to read one, or to mix it with another device's, is an error."""
     learner = small_learner("p2")
-    update = PPOUpdate(learner.network.to("meta"), small_task().config.agent, "meta", np.random.default_rng(0), int)
+    update = PPOUpdate(learner.network.to("meta"), small_task().config.agent, "meta", np.random.default_rng(0))
     update.epochs(learner.trajectory, *np.zeros((2, learner.trajectory.rewards.size), np.float32), 0.1)
     assert update.gradient_steps == 4
 

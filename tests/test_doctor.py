@@ -14,8 +14,9 @@ import zmq
 from small_tasks import small_task
 
 from coordinator.endpoints import Access
+from coordinator.run_settings import RunSettings
 from coordinator.service import CoordinatorService
-from coordinator.state import CoordinatorState, RunSettings
+from coordinator.state import CoordinatorState
 from t4nmtd_dist.cli import doctor
 from t4nmtd_dist.cli.doctor import Finding, examine, findings
 from t4nmtd_dist.wire.auth.key_folders import add_client, make_coordinator_folder, revoke

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from small_sac import small_sac_task
 from small_tasks import own_task, small_config
 
-from coordinator.state import RunSettings
+from coordinator.run_settings import RunSettings
 from t4nmtd_dist.core.config import EvaluationConfig, task_config
 from t4nmtd_dist.core.errors import ConfigError
 from t4nmtd_dist.environments.preparation import prepared

@@ -181,10 +181,10 @@ def stand_on(peers: QueryPeers, pid: str) -> None:
 
 def crossing(learner: OffPolicyLearner, peers: PeerCritics) -> None:
     """Training with rows across a boundary in every batch."""
-    if len(learner.experience) < 60:
+    if len(learner.replay_buffer) < 60:
         for _ in range(3):
             learner.iterate(NoPeers())
-    read = learner.experience.returns
+    read = learner.replay_buffer.returns
 
     def everything_crosses(*arguments: Any) -> Any:
         found = read(*arguments)
@@ -192,7 +192,7 @@ def crossing(learner: OffPolicyLearner, peers: PeerCritics) -> None:
         found.q_next[found.boundary] = TO_G2
         return found
 
-    learner.experience.returns = everything_crosses  # type: ignore[method-assign]
+    learner.replay_buffer.returns = everything_crosses  # type: ignore[method-assign]
     learner._ahead.drawn.clear()
     for _ in range(40):
         learner._train(peers)

@@ -10,7 +10,7 @@ from small_sac import START as START_OF_TRACK
 from small_tasks import START as START_OF_LAKE
 from small_tasks import TO_PASSENGER_2, small_task, snapshot_after
 
-from coordinator.state import RunSettings
+from coordinator.run_settings import RunSettings
 from t4nmtd_dist.launch.serial import SerialRun
 
 

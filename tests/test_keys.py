@@ -18,8 +18,9 @@ from hypothesis import strategies as st
 from small_tasks import small_learner, small_task
 
 from coordinator.endpoints import Access, Doors
+from coordinator.run_settings import RunSettings
 from coordinator.service import CoordinatorService
-from coordinator.state import CoordinatorState, RunSettings
+from coordinator.state import CoordinatorState
 from t4nmtd_dist.agents.common.peer_values import PeerValues, Questions
 from t4nmtd_dist.core.errors import ConfigError, KeyFileError, RunError
 from t4nmtd_dist.wire import limits

@@ -66,6 +66,7 @@ def test_the_command_lines_of_a_program_say_all_that_its_options_say(tmp_path: P
     assert "--pid" not in worker_command(program, evaluator, "tcp://host:1")
 
 
+@pytest.mark.process
 def test_a_launcher_is_one_file_and_one_line(shell: str, tmp_path: Path) -> None:
     program = program_of(tmp_path, workers=2)
     assert launch(program, shell) == BUDGET_SPENT

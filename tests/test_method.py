@@ -17,7 +17,7 @@ from small_sac import START as CAR_START
 from small_sac import TINY as TINY_SAC
 from small_tasks import CARRYING_2, START, TINY, TO_PASSENGER_2, small_learner, snapshot_after
 
-from coordinator.state import RunSettings
+from coordinator.run_settings import RunSettings
 from t4nmtd_dist.agents.common.peer_values import LocalPeers, NoPeers, Questions
 from t4nmtd_dist.agents.common.successors import draw_successors
 from t4nmtd_dist.core.config import TaskConfig
@@ -195,8 +195,8 @@ def test_ppo_bootstraps_from_zero_where_nobody_inherits() -> None:
     assert learner.rollout.begin()
     learner.collect(NoPeers())
     with torch.no_grad():
-        _, next_values = learner._bootstrap(NoPeers())
-    trajectory = learner._trajectory
+        _, next_values = learner.bootstrap(NoPeers())
+    trajectory = learner.trajectory
     crossed = trajectory.boundary & (trajectory.boundary_q != START)
     assert crossed.sum() > 3
     assert not next_values[crossed].any()

@@ -14,11 +14,12 @@ from small_sac import small_sac_task
 from small_tasks import START, TO_PASSENGER_2, small_task, snapshot_after
 
 from coordinator.endpoints import Access
+from coordinator.run_settings import RunSettings
 from coordinator.service import CoordinatorService
-from coordinator.state import CoordinatorState, RunSettings
+from coordinator.state import CoordinatorState
 from t4nmtd_dist.agents.common.off_policy import OffPolicyLearner
 from t4nmtd_dist.agents.common.peer_values import MixedPeers, PeerCritics
-from t4nmtd_dist.agents.common.replay_buffer import Experience
+from t4nmtd_dist.agents.common.replay_buffer import ReplayBuffer
 from t4nmtd_dist.wire.peers.critic_client import QueryPeers
 from t4nmtd_dist.wire.peers.replica import ReplicaPeers
 from workers.options import Connection, WorkerOptions
@@ -101,7 +102,7 @@ def test_learners_learn_from_peers_of_their_worker_directly_and_from_others_over
 ) -> None:
     state = CoordinatorState(small_sac_task(name="task6"), RunSettings(seed=0, max_interactions=10**9, lease_s=1e6))
 
-    def others() -> dict[str, Experience]:
+    def others() -> dict[str, ReplayBuffer]:
         """What g1 learns from, by pid, as far as there is any."""
         session = made[0]._sessions.get("g1")
         found = {} if session is None else cast(OffPolicyLearner, session.learner).batches.others
@@ -115,11 +116,11 @@ def test_learners_learn_from_peers_of_their_worker_directly_and_from_others_over
         )
         assert copies is not None
         assert set(copies._connections.lines) <= set(hands[1]), "there is no wire to learners of the same worker"
-        assert (others()["g4"] is g4.experience) == (hands is NEAR)
-        assert g4.experience is not None
-        assert lived(others()["g4"]) <= lived(g4.experience)
+        assert (others()["g4"] is g4.replay_buffer) == (hands is NEAR)
+        assert g4.replay_buffer is not None
+        assert lived(others()["g4"]) <= lived(g4.replay_buffer)
 
 
-def lived(experience: Experience) -> set[bytes]:
+def lived(experience: ReplayBuffer) -> set[bytes]:
     """All that was seen, each observation as bytes."""
     return {row.tobytes() for row in experience.observations[: len(experience)]}

@@ -14,7 +14,7 @@ from hypothesis.extra import numpy as hnp
 from numpy.typing import NDArray
 from small_tasks import TINY, own_task
 
-from coordinator.state import RunSettings
+from coordinator.run_settings import RunSettings
 from t4nmtd_dist.agents.common.normalisation import LIMIT, Normalisation
 from t4nmtd_dist.agents.common.peer_values import LocalPeers, NoPeers, PeerValues, Questions
 from t4nmtd_dist.agents.protocol import Learner
@@ -172,8 +172,8 @@ def test_a_learner_learns_the_statistics_of_its_own_observations(name: str, tmp_
     weights = learner.weights()
     assert weights["normalisation.count"] == learner.rollout.interactions
     assert weights["normalisation.mean"][0] > 100
-    if learner.experience is not None:  # what peers learn from is as the environment gave it
-        assert learner.experience.observations.max() > 100
+    if learner.replay_buffer is not None:  # what peers learn from is as the environment gave it
+        assert learner.replay_buffer.observations.max() > 100
 
 
 @pytest.mark.parametrize("name", WORLDS)

@@ -11,9 +11,12 @@ from t4nmtd_dist.wire.codec import decode, encode
 from t4nmtd_dist.wire.messages import KINDS
 
 
+@pytest.mark.process
 @pytest.mark.training
+@pytest.mark.process
 @pytest.mark.timeout(600)
 @pytest.mark.parametrize("task", oracle.SHORTER)
+@pytest.mark.process
 def test_a_short_training_comes_to_the_recorded_numbers(task: str) -> None:
     recorded = oracle.load("serial.json")
     other = oracle.same_machine(recorded)
@@ -39,7 +42,7 @@ def test_every_learner_of_the_recorded_trainings_has_learnt() -> None:
 
 @pytest.mark.parametrize("kind", KINDS)
 def test_messages_have_the_recorded_bytes(kind: str) -> None:
-    assert oracle.wire_frames()[kind] == oracle.load("wire.json")[kind]
+    assert oracle.wire_frames(kind) == oracle.load("wire.json")[kind]
 
 
 @pytest.mark.parametrize("kind", KINDS)
@@ -56,7 +59,9 @@ def test_the_samples_have_every_kind_and_field() -> None:
     assert set(oracle.load("wire.json")) == set(fields)
 
 
+@pytest.mark.process
 @pytest.mark.parametrize("task", oracle.TASKS)
+@pytest.mark.process
 def test_tasks_compile_to_what_was_recorded(task: str) -> None:
     found = oracle.inspect_json(task)
     assert found == (oracle.RECORDED / "inspect" / f"{task}.json").read_text(encoding="utf-8")

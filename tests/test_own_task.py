@@ -16,7 +16,7 @@ import pytest
 from processes import Processes
 from small_tasks import TINY, own_task
 
-from coordinator.state import RunSettings
+from coordinator.run_settings import RunSettings
 from t4nmtd_dist.core.config import EnvironmentConfig, task_config
 from t4nmtd_dist.core.errors import EnvError
 from t4nmtd_dist.environments import snapshot_choice

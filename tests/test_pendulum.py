@@ -44,7 +44,7 @@ def test_updates_are_one_per_interaction_after_the_first_hundred_and_returns_are
 
 def test_every_interaction_is_kept_and_a_time_out_bootstraps(pendulum: ModuleType) -> None:
     agent = trained(pendulum.Ours)
-    experience = agent.experience
+    experience = agent.replay_buffer
     assert len(experience) == INTERACTIONS
     assert np.flatnonzero(experience.ended).tolist() == [HORIZON - 1]
     rows = np.arange(INTERACTIONS)
@@ -58,8 +58,8 @@ def test_every_interaction_is_kept_and_a_time_out_bootstraps(pendulum: ModuleTyp
 def test_stored_rewards_and_actions_are_those_of_the_world(pendulum: ModuleType) -> None:
     """Pendulum's reward is -(angle^2 + 0.1 speed^2 + 0.001 torque^2), before the step."""
     agent = trained(pendulum.Ours)
-    cosine, sine, speed = agent.experience.observations.T.astype(np.float64)
-    torque = 2.0 * agent.experience.actions[:, 0]
+    cosine, sine, speed = agent.replay_buffer.observations.T.astype(np.float64)
+    torque = 2.0 * agent.replay_buffer.actions[:, 0]
     expected = -(np.arctan2(sine, cosine) ** 2 + 0.1 * speed**2 + 0.001 * torque**2)
     np.testing.assert_allclose(agent._rewards, expected, atol=1e-4)
     assert np.ptp(torque[:100]) > 3.5, "uniform at first"

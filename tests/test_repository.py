@@ -14,7 +14,7 @@ from pathlib import Path
 
 import pytest
 
-from coordinator.state import RunSettings
+from coordinator.run_settings import RunSettings
 from t4nmtd_dist.launch.serial import SerialRun
 from t4nmtd_dist.method.compiled import compile_task
 from t4nmtd_dist.policy.export import export_policy

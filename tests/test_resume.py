@@ -17,9 +17,9 @@ from small_tasks import START, TO_PASSENGER_2, small_task, snapshot_after
 
 from coordinator.checkpointing import go_on
 from coordinator.events import Interrupted
+from coordinator.run_settings import RunSettings
 from coordinator.saved_state import load_saved_state, raise_counts, saved_counts, saved_state
 from coordinator.snapshot import summary
-from coordinator.state import RunSettings
 from t4nmtd_dist.agents.registry import build_learner
 from t4nmtd_dist.core.state_dict import copied, joined, split
 from t4nmtd_dist.launch.serial import SerialRun

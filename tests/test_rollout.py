@@ -24,7 +24,7 @@ from small_tasks import (
 )
 
 from t4nmtd_dist.agents.common.peer_values import NoPeers
-from t4nmtd_dist.agents.common.replay_buffer import Experience
+from t4nmtd_dist.agents.common.replay_buffer import ReplayBuffer
 from t4nmtd_dist.agents.common.rollout import Rollout, RolloutStep
 from t4nmtd_dist.method.protocol import NO_TARGET
 
@@ -198,7 +198,7 @@ def test_a_step_pays_the_same_when_it_is_made_and_when_it_is_replayed(shaping: s
     learner = small_learner("p2", *flags, starts=((START, snapshot_after(*TO_PASSENGER_2)),))
     rollout, tables = learner.rollout, learner.method.role("p2").tables
     rollout.begin()
-    replay = Experience(len(actions), WORLDS, rollout.observations.shape[1], 1)
+    replay = ReplayBuffer(len(actions), WORLDS, rollout.observations.shape[1], 1)
     steps = []
     for row in actions:
         observations, q = rollout.observations.copy(), rollout.q.copy()

@@ -50,7 +50,7 @@ def test_actions_are_within_the_bounds_and_use_all_of_them(name: str, pid: str, 
     assert actions.dtype == np.float32
     assert 0.8 * bound < np.abs(actions).max() <= bound
     assert actions.min() < -0.5 * bound < 0.5 * bound < actions.max()
-    stored = learner.experience.actions[:100]
+    stored = learner.replay_buffer.actions[:100]
     assert np.abs(stored).max() <= 1
     assert np.allclose(stored * bound, actions, atol=1e-6)
 
@@ -63,7 +63,7 @@ def test_interactions_and_updates_are_counted_exactly(per_step: float) -> None:
         interactions = iteration * 20
         assert learner.rollout.interactions == interactions
         assert learner.version == iteration
-        assert len(learner.experience) == interactions
+        assert len(learner.replay_buffer) == interactions
         due = int(per_step * interactions) - int(per_step * 48)  # 50 experiences are there at interaction 50
         assert learner.gradient_steps == max(0, due)
     assert learner.losses()[0] is not None
@@ -82,14 +82,14 @@ def test_nothing_is_learned_before_there_is_enough_to_learn_from() -> None:
 def test_a_learner_without_start_states_waits() -> None:
     learner = small_sac("g3")
     assert not learner.iterate(NoPeers())
-    assert (learner.rollout.interactions, learner.version, len(learner.experience)) == (0, 0, 0)
+    assert (learner.rollout.interactions, learner.version, len(learner.replay_buffer)) == (0, 0, 0)
 
 
 def test_what_is_stored_is_what_happened() -> None:
     learner = small_sac("g1", "learner.attempt_steps=4", "sac.learning_starts=400", starts=((START, AT_G1),))
     for _ in range(3):
         learner.iterate(NoPeers())
-    found, count = learner.experience, len(learner.experience)
+    found, count = learner.replay_buffer, len(learner.replay_buffer)
     begun = found.ended[: count - 2]
     assert begun.any()
     after, seen = found.next_observations[: count - 2], found.observations[2:count]  # two copies take turns
@@ -106,13 +106,13 @@ def test_what_is_stored_is_what_happened() -> None:
 def test_exploration_is_decided_when_an_attempt_begins_and_at_no_other_time() -> None:
     learner = small_sac("g1", "learner.attempt_steps=4", "sac.learning_starts=400", starts=((START, AT_G1),))
     told: list[tuple[list[bool], float]] = []
-    for exploration in (learner.agent._waves, learner.agent._holds):
+    for exploration in (learner.agent._exploration._sinusoid, learner.agent._exploration._held):
         exploration.begin = lambda copies, success: told.append((copies.tolist(), success))  # type: ignore
     learner.iterate(NoPeers())
     learner.iterate(NoPeers())
     assert told[::2] == told[1::2], "both kinds are told the same"
     told = told[::2]
-    ended = learner.experience.ended[:40].reshape(20, 2).tolist()
+    ended = learner.replay_buffer.ended[:40].reshape(20, 2).tolist()
     assert [copies for copies, _ in told] == [[True, True], *ended[:-1]]
     assert told[0][1] == 0.0
     assert told[-1][1] > 0, "half of the attempts begin in the target"
@@ -140,7 +140,7 @@ def updates_of(learner: OffPolicyLearner, peers: PeerCritics, iterations: int = 
     """Let a learner train, and look into every update."""
     updates: list[Update] = []
     drawn: list[Returns] = []
-    read, update = learner.experience.returns, learner.agent.updater.update
+    read, update = learner.replay_buffer.returns, learner.agent.updater.update
 
     def reading(*arguments: Any) -> Returns:
         drawn.append(read(*arguments))
@@ -153,7 +153,7 @@ def updates_of(learner: OffPolicyLearner, peers: PeerCritics, iterations: int = 
         targets, own = np.array(learner.agent.updater.targets), np.array(other.targets)
         updates.append(Update(batch, drawn[len(updates)], told, alpha, targets, own))
 
-    learner.experience.returns, learner.agent.updater.update = reading, updating  # type: ignore[method-assign]
+    learner.replay_buffer.returns, learner.agent.updater.update = reading, updating  # type: ignore[method-assign]
     for _ in range(iterations):
         learner.iterate(peers)
     assert len(updates) == learner.gradient_steps > 20
@@ -227,7 +227,7 @@ def test_what_is_asked_is_the_state_after_the_change_read_by_the_peer() -> None:
     learner, peers = crossing_learner("sac.n_step=3")
     updates = updates_of(learner, peers)
     asked = iter(peers.questions)
-    seen = learner.experience.next_observations
+    seen = learner.replay_buffer.next_observations
     for batch, update in enumerate(updates):
         for row in np.flatnonzero(update.returns.boundary):
             number, asked_row, pid, observation, q = next(asked)
@@ -312,7 +312,7 @@ def test_a_share_of_a_batch_is_read_in_other_states_of_the_subtask(share: float)
     learner = small_sac("g1", f"sac.relabel_share={share}", "sac.batch=64", "sac.n_step=1", name="task6")
     available = set(np.flatnonzero(learner.batches.reader.tables.available).tolist())
     assert len(available) > 4
-    states, experience = small_sac_task(name="task6").dfa.states, learner.experience
+    states, experience = small_sac_task(name="task6").dfa.states, learner.replay_buffer
     for _ in range(3):
         learner.iterate(NoPeers())
     read, own = [], []
@@ -331,7 +331,7 @@ def test_a_share_of_a_batch_is_read_in_other_states_of_the_subtask(share: float)
 
 def test_what_a_relabelled_row_leads_to_is_computed_from_its_letter() -> None:
     learner = small_sac("g1", "sac.relabel_share=1", "sac.n_step=1", starts=(), name="task6")
-    task, experience = small_sac_task(name="task6"), learner.experience
+    task, experience = small_sac_task(name="task6"), learner.replay_buffer
     for _ in range(4):
         learner.iterate(NoPeers())
     rows = np.arange(len(experience))

@@ -15,8 +15,8 @@ from hypothesis.extra import numpy as hnp
 from numpy.typing import NDArray
 from small_sac import AT_G1, PIDS, START, TO_G2, TO_G3, TO_G4, averaged, product_states, small_sac, small_sac_task, twin
 
+from coordinator.run_settings import RunSettings
 from coordinator.snapshot import summary
-from coordinator.state import RunSettings
 from t4nmtd_dist.agents.common import product_states as networks_states
 from t4nmtd_dist.agents.common.action_bounds import scaled
 from t4nmtd_dist.agents.common.off_policy import OffPolicyLearner
@@ -84,7 +84,7 @@ def test_two_runs_of_one_seed_are_equal_bit_for_bit(run: SerialRun) -> None:
     assert report_of(first) == report_of(second)
     learners = [run.sessions["g1"].learner for run in (first, second)]
     assert learners[0].gradient_steps == learners[1].gradient_steps > 0
-    for one, other in zip(*(learner.experience.state_dict().values() for learner in learners), strict=True):  # type: ignore
+    for one, other in zip(*(learner.replay_buffer.state_dict().values() for learner in learners), strict=True):  # type: ignore
         assert one.tobytes() == other.tobytes()
     assert evaluations_of(first) == evaluations_of(second) != []
 

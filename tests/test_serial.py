@@ -10,8 +10,8 @@ from numpy.typing import NDArray
 from small_tasks import START, TO_PASSENGER_2, small_task, snapshot_after
 
 from coordinator.events import Finish, RecordEvaluation
+from coordinator.run_settings import RunSettings
 from coordinator.snapshot import summary
-from coordinator.state import RunSettings
 from t4nmtd_dist.launch.serial import SerialRun
 
 FLAGS = ("evaluation.every=100", "evaluation.episodes=2", "environment.horizon=20", "learner.attempt_steps=12")

@@ -16,9 +16,9 @@ from routers import receive_from
 from small_sac import AT_G1, PIDS, TO_G2, small_sac, small_sac_task
 
 from t4nmtd_dist.agents.common.off_policy import OffPolicyLearner
-from t4nmtd_dist.agents.common.peer_success_replay import ChanceFinds, target_symbols
+from t4nmtd_dist.agents.common.peer_success_replay import target_symbols
 from t4nmtd_dist.agents.common.peer_values import NoPeers
-from t4nmtd_dist.agents.common.replay_buffer import BEFORE_SUCCESS, SHARED, Experience
+from t4nmtd_dist.agents.common.replay_buffer import SHARED, ReplayBuffer
 from t4nmtd_dist.core.errors import ProtocolError
 from t4nmtd_dist.method.rewards import subtask_tables
 from t4nmtd_dist.wire.codec import Envelope
@@ -41,9 +41,9 @@ PLENTY = 1 << 20
 Columns = dict[str, NDArray[Any]]
 
 
-def lived(steps: int, count: int, capacity: int, seed: int = 0, start: int = 0) -> Experience:
+def lived(steps: int, count: int, capacity: int, seed: int = 0, start: int = 0) -> ReplayBuffer:
     """An experience whose observations are numbers of their step and copy, never the same twice."""
-    made, rng = Experience(capacity, count, SIZE, ACTIONS), np.random.default_rng(seed)
+    made, rng = ReplayBuffer(capacity, count, SIZE, ACTIONS), np.random.default_rng(seed)
     for t in range(start, start + steps):
         observations = np.repeat((t * count + np.arange(count))[:, None], SIZE, axis=1).astype(np.float32)
         ended = rng.random(count) < 0.2
@@ -60,7 +60,7 @@ def lived(steps: int, count: int, capacity: int, seed: int = 0, start: int = 0) 
     return made
 
 
-def kept(experience: Experience) -> Columns:
+def kept(experience: ReplayBuffer) -> Columns:
     """All steps still there, in order."""
     return experience.since(0, PLENTY)[1]
 
@@ -108,7 +108,7 @@ def test_attempts_count_as_ended_where_steps_are_missing() -> None:
 
 
 def test_what_another_thread_reads_is_never_half_a_step() -> None:
-    experience, torn, stop = Experience(50, 3, SIZE, ACTIONS), [], threading.Event()
+    experience, torn, stop = ReplayBuffer(50, 3, SIZE, ACTIONS), [], threading.Event()
 
     def read() -> None:
         while not stop.is_set():
@@ -147,7 +147,7 @@ class Clock:
         return self.now
 
 
-def follow(copies: PeerExperience, pid: str, written: int) -> Experience:
+def follow(copies: PeerExperience, pid: str, written: int) -> ReplayBuffer:
     """Pull until the copy has as many steps."""
     for _ in range(int(WAIT_S * 100)):
         copies.pull()
@@ -170,17 +170,17 @@ def at(endpoint: str) -> Peer:
 
 def test_a_peers_experience_comes_and_is_kept_up_to_date(context: Context, service: CriticService) -> None:
     learner = small_sac("g1")
-    service.serve("g1", learner.published, learner.experience)
-    copies = PeerExperience(context, "asker", lambda: learner.experience.alike(200), 100)
+    service.serve("g1", learner.published, learner.replay_buffer)
+    copies = PeerExperience(context, "asker", lambda: learner.replay_buffer.alike(200), 100)
     copies.set_peers({"g1": at(service.endpoint)})
     for rounds in (3, 5):
         for _ in range(rounds):
             learner.iterate(NoPeers())
-        copy = follow(copies, "g1", learner.experience.written)
-        assert same(kept(copy), kept(learner.experience))
+        copy = follow(copies, "g1", learner.replay_buffer.written)
+        assert same(kept(copy), kept(learner.replay_buffer))
     copies.set_peers({})
     copies.pull()
-    assert same(kept(copies.copies["g1"]), kept(learner.experience)), "a peer that is gone leaves what it told"
+    assert same(kept(copies.copies["g1"]), kept(learner.replay_buffer)), "a peer that is gone leaves what it told"
 
 
 def test_what_a_peer_tells_anew_does_not_go_on_from_what_it_told_before(
@@ -214,7 +214,7 @@ def test_a_peer_that_begins_anew_and_has_caught_up_is_noticed(context: Context, 
 
 def test_much_experience_comes_in_parts(context: Context, service: CriticService) -> None:
     learner, count = small_sac("g1"), 2
-    wide = Experience(3000, count, 200, ACTIONS)
+    wide = ReplayBuffer(3000, count, 200, ACTIONS)
     for t in range(1500):
         wide.add(
             np.full((count, 200), t, np.float32),
@@ -242,7 +242,7 @@ def test_much_experience_comes_in_parts(context: Context, service: CriticService
         each.close()
 
 
-def kept_all(experience: Experience) -> Columns:
+def kept_all(experience: ReplayBuffer) -> Columns:
     return experience.since(0, 1 << 30)[1]
 
 
@@ -366,15 +366,15 @@ def taught(share: float, **flags: str) -> tuple[OffPolicyLearner, OffPolicyLearn
     for learner in (first, second):
         for _ in range(5):
             assert learner.iterate(NoPeers())
-    first.learn_from({"g1": first.experience, "g2": second.experience})
+    first.learn_from({"g1": first.replay_buffer, "g2": second.replay_buffer})
     return first, second
 
 
 @pytest.mark.parametrize("share", [0.0, 0.25, 0.5, 1.0])
 def test_a_share_of_a_batch_is_read_from_peers(share: float) -> None:
     first, second = taught(share)
-    assert first.peer_rows == (len(second.experience) if share else 0)
-    theirs = {row.tobytes() for row in second.experience.actions[: len(second.experience)]}
+    assert first.peer_rows == (len(second.replay_buffer) if share else 0)
+    theirs = {row.tobytes() for row in second.replay_buffer.actions[: len(second.replay_buffer)]}
     drawn = first.batches.draw(0, success=0.0)
     assert len(drawn.actions) == 16
     assert sum(row.tobytes() in theirs for row in drawn.actions) == round(16 * share)
@@ -383,9 +383,9 @@ def test_a_share_of_a_batch_is_read_from_peers(share: float) -> None:
 def test_peers_rows_are_read_as_the_own_sub_tasks() -> None:
     """Every row has the reward of its own symbol in the DFA state in which it is read, one of the own sub-task's."""
     first, second = taught(1.0, **{"sac.n_step": "1"})
-    task, columns = small_sac_task(), kept_all(second.experience)
+    task, columns = small_sac_task(), kept_all(second.replay_buffer)
     columns["symbols"] = np.random.default_rng(0).integers(task.dfa.delta.shape[1], size=columns["symbols"].shape)
-    experience = second.experience.alike(len(columns["symbols"]))
+    experience = second.replay_buffer.alike(len(columns["symbols"]))
     experience.extend(columns, follows=False)
     first.learn_from({"g2": experience})
     tables = subtask_tables(
@@ -411,84 +411,42 @@ def test_peers_rows_are_read_as_the_own_sub_tasks() -> None:
 
 def test_nothing_is_read_from_peers_that_have_nothing() -> None:
     first, _ = taught(0.5)
-    first.learn_from({"g1": first.experience, "g2": lived(0, 2, 10)})
+    first.learn_from({"g1": first.replay_buffer, "g2": lived(0, 2, 10)})
     assert first.peer_rows == 0
     assert len(first.batches.draw(0, success=0.0).actions) == 16
 
 
 def test_peers_are_as_likely_as_their_experience_is_long() -> None:
     first, second = taught(1.0)
-    short = second.experience.alike(10)
-    size = first.experience.observations.shape[1]
-    columns = {name: column[:5].copy() for name, column in kept_all(second.experience).items()}
+    short = second.replay_buffer.alike(10)
+    size = first.replay_buffer.observations.shape[1]
+    columns = {name: column[:5].copy() for name, column in kept_all(second.replay_buffer).items()}
     columns["observations"][:] = 7.0
     short.extend(columns, follows=True)
-    first.learn_from({"g2": second.experience, "g3": short})
+    first.learn_from({"g2": second.replay_buffer, "g3": short})
     drawn = [bool((first.batches.draw(0, success=0.0).states[:, :size] == 7.0).all()) for _ in range(600)]
-    share = len(short) / (len(short) + len(second.experience))
+    share = len(short) / (len(short) + len(second.replay_buffer))
     assert np.mean(drawn) == pytest.approx(share, abs=4 * np.sqrt(share * (1 - share) / 600))
 
 
 def test_all_peers_together_are_kept_as_long_as_the_own_experience() -> None:
     learner = small_sac("g1")
-    assert learner.peer_steps == learner.experience.steps // (len(PIDS) - 1)
+    assert learner.peer_steps == learner.replay_buffer.steps // (len(PIDS) - 1)
     assert small_sac("g1", "sac.peer_share=0.0").peer_steps == 0
 
 
 # What peers found by chance
 
 
-@given(
-    seed=st.integers(0, 2**32 - 1),
-    steps=st.lists(st.integers(0, 60), min_size=1, max_size=4),
-    capacity=st.integers(1, 90),
-    ended=st.sampled_from([0.0, 0.02, 0.3]),
-)
-def test_finds_are_the_rows_that_lead_to_a_letter_within_their_attempt(
-    seed: int, steps: list[int], capacity: int, ended: float
-) -> None:
-    """Looked at as the experience grows; found by going back from every row, one step after the other."""
-    rng, count, useful = np.random.default_rng(seed), 2, np.array([False, True, False, True])
-    experience, finds = Experience(capacity, count, 1, 1), ChanceFinds(useful)
-    past: list[tuple[NDArray[np.int64], NDArray[np.bool_]]] = []
-    for some in steps:
-        for _ in range(some):
-            symbols, ends = (
-                np.where(rng.random(count) < 0.02, rng.integers(4, size=count), 0),
-                rng.random(count) < ended,
-            )
-            past.append((symbols, ends))
-            zeros = np.zeros((count, 1), np.float32)
-            states, no = np.zeros(count, np.int32), np.zeros(count, np.bool_)
-            experience.add(zeros, states, zeros, symbols, zeros, no, ends, no)
-        expected = set()
-        oldest = max(0, len(past) - capacity)
-        for copy in range(count):
-            for t in (t for t in range(oldest, len(past)) if useful[past[t][0][copy]]):
-                for s in range(t, max(oldest - 1, t - BEFORE_SUCCESS), -1):
-                    if s < t and past[s][1][copy]:
-                        break
-                    expected.add((s % capacity) * count + copy)
-        assert finds.rows(experience).tolist() == sorted(expected)
-
-
-def test_letters_of_a_target_are_those_that_some_state_takes_to_one() -> None:
-    task = small_sac_task()
-    tables = subtask_tables(task.dfa, task.decomposition, "g1", task.rho, gamma=0.98, shaping="subtask")
-    found = target_symbols(tables, task.dfa.delta)
-    transitions = task.decomposition.subtasks["g1"]
-    expected = [any(pair in transitions for pair in enumerate(column)) for column in task.dfa.delta.T.tolist()]
-    assert found.tolist() == expected
-    assert 0 < sum(expected) < len(expected)
-
-
 @pytest.mark.parametrize(("success", "least", "most"), [(0.0, 0.8, 0.95), (0.5, 0.2, 0.35), (1.0, 0.0, 0.05)])
-def test_who_fails_reads_more_of_what_its_peers_found_by_chance(success: float, least: float, most: float) -> None:
+def test_a_learner_that_fails_reads_more_of_the_rows_in_which_it_would_have_succeeded(
+    success: float, least: float, most: float
+) -> None:
     """One symbol in a hundred is g1's; its row is drawn a hundredth of the time by a learner that succeeds."""
     first, second = taught(1.0, **{"sac.success_share": "0.9", "sac.batch": "1000"})
-    size = second.experience.observations.shape[1]
+    size = second.replay_buffer.observations.shape[1]
     symbol = int(np.flatnonzero(target_symbols(first.batches.reader.tables, small_sac_task().dfa.delta))[0])
-    wide, like = second.experience.alike(100), kept_all(second.experience)
+    wide, like = second.replay_buffer.alike(100), kept_all(second.replay_buffer)
     columns = {name: np.zeros((100, *column.shape[1:]), column.dtype) for name, column in like.items()}
     columns["ended"][:] = True
     columns["symbols"][50, 0] = symbol

@@ -18,8 +18,9 @@ from routers import receive_from
 from small_tasks import small_task
 
 from coordinator.endpoints import Access
+from coordinator.run_settings import RunSettings
 from coordinator.service import CoordinatorService
-from coordinator.state import CoordinatorState, RunSettings
+from coordinator.state import CoordinatorState
 from t4nmtd_dist.core.errors import ConfigError, ProtocolError, RunError
 from t4nmtd_dist.wire.codec import Envelope, decode
 from t4nmtd_dist.wire.endpoints import check_endpoint

@@ -19,8 +19,8 @@ from coordinator.checkpointing import StateKeeper
 from coordinator.events import Finish
 from coordinator.finishing import write_result
 from coordinator.run_logger import Recorder
+from coordinator.run_settings import RunSettings
 from coordinator.saved_state import saved_state
-from coordinator.state import RunSettings
 from t4nmtd_dist.cli.train import train
 from t4nmtd_dist.core.errors import RunError
 from t4nmtd_dist.launch.serial import SerialRun

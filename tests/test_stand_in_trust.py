@@ -43,7 +43,7 @@ def test_an_evaluators_lease_runs_no_code_of_a_coordinator_that_is_not_trusted(
     if invited:
         worker._stand_in.invited()
     with pytest.raises(TrustError, match="planted:Corridor"):
-        worker._take(Envelope(lease, {}, "", STAND_IN))
+        worker._take(Envelope(lease, {}, "", STAND_IN), 0.0)
     assert not stranger.mark.exists()
 
 
@@ -65,13 +65,13 @@ def test_a_failure_ends_the_stand_ins_work_and_not_the_learner(
     worker: Worker, capsys: pytest.CaptureFixture[str]
 ) -> None:
     worker._stand_in.invited()
-    worker._take(Envelope(granted(), {}, "", STAND_IN))
-    worker._take(Envelope(Failure(text="the message is too large"), {}, "", STAND_IN))
+    worker._take(Envelope(granted(), {}, "", STAND_IN), 0.0)
+    worker._take(Envelope(Failure(text="the message is too large"), {}, "", STAND_IN), 0.0)
     assert worker._exit is None
     assert "does not evaluate any more: the coordinator refused a message: the message is too large" in (
         capsys.readouterr().err
     )
-    worker._take(Envelope(Failure(text="the message is too large"), {}, "", 0))
+    worker._take(Envelope(Failure(text="the message is too large"), {}, "", 0), 0.0)
     assert worker._exit is not None
 
 

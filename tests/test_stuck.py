@@ -16,8 +16,8 @@ from small_tasks import INTO_HOLE, PICK, TO_PASSENGER_2, small_learner, small_ta
 
 from coordinator.events import Tell
 from coordinator.learner_registry import LearnerRecord
+from coordinator.run_settings import RunSettings
 from coordinator.snapshot import dashboard_state, status
-from coordinator.state import RunSettings
 from coordinator.stuck import stuck_lines
 from t4nmtd_dist.cli.status import page
 from t4nmtd_dist.launch.serial import SerialRun

@@ -13,7 +13,8 @@ from small_sac import small_sac, small_sac_task
 from small_tasks import START, TO_PASSENGER_2, small_learner, small_task, snapshot_after
 
 from coordinator.events import Tell
-from coordinator.state import CoordinatorState, RunSettings
+from coordinator.run_settings import RunSettings
+from coordinator.state import CoordinatorState
 from t4nmtd_dist.agents.common.restarts import MOST_FAILURES
 from t4nmtd_dist.agents.ppo.agent import PPOLearner
 from t4nmtd_dist.agents.weight_checks import NetworkSizes, check_weights, expected_shapes

@@ -41,7 +41,7 @@ from t4nmtd_dist.wire.sockets import bind, bound_endpoint, send
 from t4nmtd_dist.wire.zmq_types import Context
 
 if TYPE_CHECKING:
-    from t4nmtd_dist.agents.common.replay_buffer import Experience
+    from t4nmtd_dist.agents.common.replay_buffer import ReplayBuffer
     from t4nmtd_dist.agents.protocol import PublishedValues
 
 POLL_MS = 200
@@ -126,13 +126,13 @@ class CriticService:
         host, port = split_endpoint(bound_endpoint(self._socket))
         self.endpoint = f"tcp://{advertise or host}:{port}"
         self._critics: dict[str, PublishedValues] = {}
-        self._experiences: dict[str, Experience] = {}
+        self._experiences: dict[str, ReplayBuffer] = {}
         self._weights_pace, self._experience_pace = _Pace(WEIGHTS_EVERY_S), _Pace(EXPERIENCE_EVERY_S)
         self._stop = threading.Event()
         self._thread = threading.Thread(target=self._loop, name="critic-service", daemon=True)
         self._thread.start()
 
-    def serve(self, pid: str, critic: PublishedValues, experience: Experience | None = None) -> None:
+    def serve(self, pid: str, critic: PublishedValues, experience: ReplayBuffer | None = None) -> None:
         """Answer requests for ``pid`` from ``critic`` and ``experience`` from now on."""
         self._critics[pid] = critic
         if experience is not None:

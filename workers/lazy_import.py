@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from t4nmtd_dist.core.config import task_config
 from t4nmtd_dist.core.devices import Device
 from t4nmtd_dist.environments.trust import require_trust
-from t4nmtd_dist.wire.messages import Granted, LearnerStats, Role, Sync
+from t4nmtd_dist.wire.messages import EvaluationPoll, Granted, LearnerStats, Role, Sync
 
 if TYPE_CHECKING:
     from workers.evaluation_session import EvaluationSession
@@ -32,9 +32,11 @@ class WaitingLease:
     granted: Granted
     arrays: Mapping[str, NDArray[Any]]
 
-    def heartbeat(self) -> Sync:
-        """Keeps the lease alive; sequence 0 carries no progress."""
+    def first_message(self) -> Sync | EvaluationPoll:
+        """Says that the lease is wanted; from then on it is renewed. Sequence 0 carries no progress."""
         granted = self.granted
+        if granted.role == "evaluator":
+            return EvaluationPoll(epoch=granted.epoch, busy=True)
         return Sync(
             pid=granted.pid,
             epoch=granted.epoch,

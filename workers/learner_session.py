@@ -63,7 +63,7 @@ class LearnerSession:
         tell: Callable[[str], None] = print,
     ) -> None:
         task = compiled_from(granted)
-        self.pid, self.epoch, self.lease_s = granted.pid, granted.epoch, granted.lease_s
+        self.pid, self.epoch = granted.pid, granted.epoch
         self.buffer = InitialStateBuffer(task.config.learner.start_capacity)
         self.method = task.method()
         seed = subtask_seed(granted.seed, granted.pid, granted.epoch)
@@ -121,7 +121,7 @@ class LearnerSession:
             self.run_id, self._told_before = granted.run_id, LearnerStats()
         elif self._told is not None:
             self._told_before = self._told
-        self.epoch, self.lease_s = granted.epoch, granted.lease_s
+        self.epoch = granted.epoch
         self._begin_lease(sent_version=0)
 
     def go_on_from(self, state: State, granted: Granted, arrays: Mapping[str, NDArray[Any]]) -> None:
@@ -191,17 +191,6 @@ class LearnerSession:
         self._outstanding = self._sync()
         self._sent_at = now
         return self._outstanding
-
-    def heartbeat(self) -> Sync:
-        """Keeps the lease alive in the midst of a long roll-out; sequence 0 carries no progress."""
-        return Sync(
-            pid=self.pid,
-            epoch=self.epoch,
-            sequence=0,
-            version=self.learner.version,
-            start_cursor=self._start_cursor,
-            stats=LearnerStats(),
-        )
 
     def last_sync(self) -> Envelope:
         """What the coordinator has not been told yet, at the end of the work; answered like any other."""

@@ -15,7 +15,7 @@ from t4nmtd_dist.wire.rate_limited_log import Tell
 from t4nmtd_dist.wire.zmq_types import Context
 
 if TYPE_CHECKING:
-    from t4nmtd_dist.agents.common.replay_buffer import Experience
+    from t4nmtd_dist.agents.common.replay_buffer import ReplayBuffer
     from workers.learner_session import LearnerSession
 
 
@@ -38,7 +38,7 @@ class Neighbours:
     ) -> None:
         self._context, self._instance, self._keys, self._tell = context, instance, keys, tell
         self._critics: dict[str, CriticValues] = {}
-        self._lived: dict[str, Experience] = {}
+        self._lived: dict[str, ReplayBuffer] = {}
         self._remote: dict[str, QueryPeers | ReplicaPeers] = {}
         self.peers: dict[str, PeerCritics] = {}
         self.experience: PeerExperience | None = None
@@ -68,11 +68,11 @@ class Neighbours:
     def _share_experience(self, session: LearnerSession) -> None:
         """Let it learn from all that the others have lived through, here and elsewhere."""
         learner = session.learner
-        if learner.experience is None or not learner.peer_steps:
+        if learner.replay_buffer is None or not learner.peer_steps:
             return
-        self._lived[session.pid] = learner.experience
+        self._lived[session.pid] = learner.replay_buffer
         if self.experience is None:
-            make, sender = partial(learner.experience.alike, learner.peer_steps), f"{self._instance}/experience"
+            make, sender = partial(learner.replay_buffer.alike, learner.peer_steps), f"{self._instance}/experience"
             self.experience = PeerExperience(self._context, sender, make, session.symbols, self._keys, tell=self._tell)
         learner.learn_from(ChainMap(self._lived, self.experience.copies))
 

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 
+from t4nmtd_dist.core.invariants import require
 from t4nmtd_dist.wire.messages import Claim, Goodbye, Granted, Message, Refused, Role
 
 FIRST_RETRY_S = 0.25
@@ -13,6 +15,7 @@ STANDBY_RETRY_S = 1.0
 NEXT_SHARE_S = 5.0
 FIRST_REMINDER_S = 1.0
 REMINDER_S = 5.0
+LIKE_A_NUMBER = re.compile(r"p[0-9]+")
 
 
 @dataclass(frozen=True)
@@ -114,6 +117,20 @@ class WorkerState:
     def held(self) -> list[str]:
         """The places held now."""
         return [place.held for place in self._places if place.held is not None]
+
+    def validate(self) -> None:
+        """Check what must hold between any two events; tests do so after each.
+
+        Raises:
+            InvariantError: if it does not hold.
+        """
+        held = self.held
+        require(len(set(held)) == len(held), "a place is held twice: {}", held)
+        require(not (self._standing_by and held), "standing by while holding {}", held)
+        require(self._share_due is None or self.role == "learner", "an evaluator waits for a share of the sub-tasks")
+        require(self.role == "learner" or len(self._places) <= 1, "an evaluator wants several places")
+        for place in self._places:
+            _check_place(place, self.role)
 
     def tick(self, now: float) -> list[Action]:
         """Time has passed: claim what is due, or give up."""
@@ -232,3 +249,12 @@ class WorkerState:
 def _wants_the_same(place: _Place, granted: Granted) -> bool:
     """Whether a place is for the sub-task just granted to another: given twice, or by name and by number."""
     return place.wanted is not None and (place.held == granted.pid or place.wanted in (granted.pid, granted.asked))
+
+
+def _check_place(place: _Place, role: Role) -> None:
+    wanted, held, kept = place.wanted, place.held, place.kept
+    require(held is None or kept is None, "{} is held in the place of {}", held, kept)
+    require(FIRST_RETRY_S <= place.retry <= LONGEST_RETRY_S, "claims are {} s apart", place.retry)
+    named = held is None or wanted in (None, held) or LIKE_A_NUMBER.fullmatch(str(wanted)) is not None
+    require(named, "{} is held, {} was wanted", held, wanted)
+    require(role == "learner" or (held in (None, role) and kept is None), f"an evaluator holds {held}, keeps {kept}")

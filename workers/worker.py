@@ -1,14 +1,16 @@
-"""The worker process: one loop that learns (or evaluates), tells the coordinator, and hears its answers.
+"""The worker process: one loop that learns (or evaluates), reports to the coordinator, and takes its answers.
 
-A place is claimed before torch and the environments are imported, which takes seconds: a refusal comes at once.
+A place is claimed before torch and the environments are imported, which takes seconds: a refusal comes at once. A
+thread of its own serves the connection to the coordinator, so that leases are renewed whatever the loop does.
 """
 
 from __future__ import annotations
 
-import sys
+import threading
 import time
-from collections.abc import Mapping, Sequence
-from contextlib import suppress
+from collections.abc import Hashable, Mapping, Sequence
+from concurrent.futures import Future
+from concurrent.futures import TimeoutError as FutureTimeoutError
 from typing import TYPE_CHECKING, Any
 
 from numpy.typing import NDArray
@@ -16,7 +18,7 @@ from numpy.typing import NDArray
 from t4nmtd_dist.core.errors import ProtocolError
 from t4nmtd_dist.process.signals import install_signal_handlers
 from t4nmtd_dist.wire.addresses import critic_endpoints
-from t4nmtd_dist.wire.auth.handshake import HandshakeMonitor, trouble
+from t4nmtd_dist.wire.auth.handshake import Outcome, trouble
 from t4nmtd_dist.wire.auth.keys import load_client
 from t4nmtd_dist.wire.codec import Envelope
 from t4nmtd_dist.wire.messages import (
@@ -29,13 +31,15 @@ from t4nmtd_dist.wire.messages import (
     Release,
     SyncReply,
 )
-from t4nmtd_dist.wire.sockets import connect, receive, send
 from t4nmtd_dist.wire.zmq_types import new_context
+from workers.control_connection import Arrival, ControlConnection
 from workers.critic_service import CriticService
 from workers.evaluation_work import EvaluationWork
 from workers.lazy_import import Loader, WaitingLease, check_trust
+from workers.loop_watch import LoopWatch, place_of
 from workers.options import CheckpointOptions, WorkerOptions
 from workers.peer_registry import Neighbours
+from workers.say import say
 from workers.stand_in import STAND_IN, StandIn
 from workers.state import Action, Ask, Begin, End, Exit, GiveBack, Say, WorkerState
 
@@ -44,9 +48,8 @@ if TYPE_CHECKING:
     from workers.learner_session import LearnerSession
 
 SYNC_INTERVAL_S = 0.2
-HEARTBEAT_S = 0.5
 IDLE_POLL_S = 0.05
-LONG_TURN_S = 2.0
+LAST_SEND_S = 2.0
 LAST_ANSWERS_S = 5.0  # counts told but not answered are told again by a resume
 STOPPED = 130
 
@@ -67,8 +70,6 @@ class Worker:
         self._context = new_context()
         self._keys = None if options.connection.keys is None else load_client(options.connection.keys)
         self._critics = self._serve_critics()
-        self._control = connect(self._context, options.connection.coordinator, self._keys, monitored=True)
-        self._handshakes = HandshakeMonitor(self._control)
         self._state = WorkerState(
             options.role,
             options.instance,
@@ -79,6 +80,14 @@ class Worker:
             time.monotonic(),
         )
         self._sessions: dict[str, LearnerSession] = {}
+        self._turns, self._loop_thread = 0, threading.get_ident()
+        self._control = ControlConnection(
+            self._context,
+            options.connection.coordinator,
+            options.instance,
+            self._keys,
+            LoopWatch(self, time.monotonic()),
+        )
         self._neighbours = Neighbours(self._context, options.instance, self._keys, tell=say)
         self._evaluation: EvaluationWork | None = None
         self._stand_in = StandIn(options.instance, lambda message: self._send(message, number=STAND_IN), say)
@@ -86,8 +95,7 @@ class Worker:
         self._loader = Loader(options.role)
         self._keeper = None if options.checkpoints is None else self._keep(options.checkpoints)
         self._solved = False
-        self._heartbeat_due = 0.0
-        self._turn_began = self._last_syncs = time.monotonic()
+        self._stopped_s = 0.0
         self._exit: Exit | None = None
         self._told: set[str] = set()
         self._interrupted = False
@@ -121,6 +129,20 @@ class Worker:
             say(self._exit.text)
         return self._exit.code if self._exit is not None else STOPPED
 
+    def name(self) -> str:
+        """The sub-tasks held, or this worker's own name; see ``Loop``."""
+        return ", ".join(self._state.held) or self._options.instance
+
+    def progress(self) -> Hashable:
+        """Turns, environment steps and updates; see ``Loop``."""
+        learners = [session.learner for session in list(self._sessions.values())]
+        steps = sum(learner.rollout.interactions for learner in learners)
+        return self._turns, steps, sum(learner.gradient_steps for learner in learners)
+
+    def where(self) -> str:
+        """Which call the loop is in; see ``Loop``."""
+        return place_of(self._loop_thread)
+
     def _interrupt(self, *_: object) -> None:
         self._interrupted = True
 
@@ -130,7 +152,7 @@ class Worker:
         syncs = [session.last_sync() for session in sessions]
         sent = [self._send(sync.message, sync.arrays) for sync in syncs]
         self._give_back()
-        if any(sent):
+        if any(map(_was_taken, sent)):
             self._hear_answers(sessions)
         if self._keeper is not None and self._solved:
             self._keeper.delete(sessions)
@@ -141,25 +163,22 @@ class Worker:
         """Wait a moment for the answers to the last messages."""
         deadline = time.monotonic() + LAST_ANSWERS_S
         while (left := deadline - time.monotonic()) > 0 and not all(session.heard for session in sessions):
-            try:
-                envelope = receive(self._control, left)
-            except ProtocolError:
+            arrival = self._control.receive(left)
+            if arrival is None or isinstance(arrival.content, ProtocolError):
                 return
+            envelope = arrival.content
             for session in sessions:
-                if envelope is not None and isinstance(envelope.message, SyncReply):
+                if isinstance(envelope, Envelope) and isinstance(envelope.message, SyncReply) and not arrival.renewal:
                     session.take_reply(envelope)
 
     def _turn(self) -> None:
+        self._turns, self._loop_thread = self._turns + 1, threading.get_ident()
         self._open_sessions()
         busy = self._evaluate() or (not self._stand_in.waiting and self._learn())
-        self._watch_connection()
         self._hear(0.0 if busy else IDLE_POLL_S)
         now = time.monotonic()
-        if self._waiting or now - self._turn_began > LONG_TURN_S:
-            self._state.was_deaf(self._turn_began, now)
-        self._turn_began = now
+        self._discount_stops(now)
         self._act(self._state.tick(now), {})
-        self._send_heartbeats(now)
         for session in self._sessions.values():
             sync = session.next_sync(now, SYNC_INTERVAL_S)
             if sync is not None:
@@ -167,28 +186,24 @@ class Worker:
         for evaluation in (self._evaluation, self._stand_in):
             if evaluation is not None:
                 evaluation.tell()
-        self._last_syncs = now
         if self._keeper is not None:
             self._keeper.turn(self._sessions.values())
 
-    def _keep_leases(self) -> None:
-        """Within a turn: a sign of life for every lease that would run out if this turn took much longer."""
-        now = time.monotonic()
-        if all(now < self._last_syncs + session.lease_s / 4 for session in self._sessions.values()):
-            return
-        self._last_syncs = now
-        for session in self._sessions.values():
-            self._send(session.heartbeat())
+    def _discount_stops(self, now: float) -> None:
+        """Do not count time in which this process was stopped as the coordinator's silence."""
+        stopped_s = self._control.stopped_s()
+        if stopped_s > self._stopped_s:
+            self._state.was_deaf(now - (stopped_s - self._stopped_s), now)
+            self._stopped_s = stopped_s
 
-    def _watch_connection(self) -> None:
+    def _take_outcome(self, outcome: Outcome) -> None:
         """Give up when the coordinator will not talk to this worker; tell what else keeps a connection away, once."""
-        while (outcome := self._handshakes.next()) is not None:
-            text = trouble(outcome, self._connection.coordinator, self._keys)
-            if text is not None and outcome != "broken":
-                self._exit = Exit(2, text)
-            elif text is not None and text not in self._told:
-                self._told.add(text)
-                say(text)
+        text = trouble(outcome, self._connection.coordinator, self._keys)
+        if text is not None and outcome != "broken":
+            self._exit = Exit(2, text)
+        elif text is not None and text not in self._told:
+            self._told.add(text)
+            say(text)
 
     def _evaluate(self) -> bool:
         """A slice of the evaluation under way, be it this worker's work or between its learners' turns."""
@@ -207,29 +222,38 @@ class Worker:
             session.processor_s += time.process_time() - began
         return any(trained)
 
-    def _send(self, message: Message, arrays: Mapping[str, NDArray[Any]] | None = None, *, number: int = 0) -> bool:
-        return send(self._control, Envelope(message, arrays or {}, self._options.instance, number))
+    def _send(
+        self, message: Message, arrays: Mapping[str, NDArray[Any]] | None = None, *, number: int = 0
+    ) -> Future[bool]:
+        return self._control.send(Envelope(message, arrays or {}, self._options.instance, number))
 
     def _hear(self, timeout_s: float) -> None:
         while self._exit is None:
-            try:
-                envelope = receive(self._control, timeout_s)
-            except ProtocolError as error:
-                self._exit = Exit(2, f"{self._connection.coordinator} does not speak this protocol: {error}")
-                return
-            if envelope is None:
+            arrival = self._control.receive(timeout_s)
+            if arrival is None:
                 return
             timeout_s = 0.0
-            self._take(envelope)
+            self._take_arrival(arrival)
 
-    def _take(self, envelope: Envelope) -> None:
+    def _take_arrival(self, arrival: Arrival) -> None:
+        content = arrival.content
+        if isinstance(content, ProtocolError):
+            self._exit = Exit(2, f"{self._connection.coordinator} does not speak this protocol: {content}")
+        elif not isinstance(content, Envelope):
+            self._take_outcome(content)
+        elif arrival.renewal:
+            self._state.hear(arrival.at, content.message)
+        else:
+            self._take(content, arrival.at)
+
+    def _take(self, envelope: Envelope, at: float) -> None:
         message = envelope.message
         if envelope.id == STAND_IN and isinstance(message, Granted | Refused | EvaluationJob | Failure):
             if isinstance(message, Granted):
                 self._check_trust(message)
             self._stand_in.take(envelope)
             return
-        self._act(self._state.hear(time.monotonic(), message), envelope.arrays)
+        self._act(self._state.hear(at, message), envelope.arrays)
         if isinstance(message, SyncReply):
             self._take_reply(message, envelope)
         elif isinstance(message, EvaluationJob) and self._evaluation is not None:
@@ -274,8 +298,9 @@ class Worker:
             return
         if granted.role == "learner":
             self._end_those_of_another_training(granted)
-        self._waiting[granted.pid] = WaitingLease(granted, arrays)
+        self._waiting[granted.pid] = waiting = WaitingLease(granted, arrays)
         self._check_trust(granted)
+        self._send(waiting.first_message())
 
     def _check_trust(self, granted: Granted) -> None:
         if self._keys is None:
@@ -301,22 +326,13 @@ class Worker:
             session = lease.learn(self._options.device, say)
             if self._keeper is not None:
                 self._keeper.go_on(session, lease.granted, lease.arrays)
-            session.learner.rollout.pulse = self._keep_leases
             self._sessions[pid] = session
             self._neighbours.join(session)
-            self._critics.serve(pid, session.learner.published, session.learner.experience)
+            self._critics.serve(pid, session.learner.published, session.learner.replay_buffer)
         self._waiting.clear()
 
-    def _send_heartbeats(self, now: float) -> None:
-        """Keep the leases alive under which no work has begun yet."""
-        if now < self._heartbeat_due:
-            return
-        self._heartbeat_due = now + HEARTBEAT_S
-        for lease in self._waiting.values():
-            if lease.granted.role == "learner":
-                self._send(lease.heartbeat())
-
     def _end(self, pid: str) -> None:
+        self._control.forget(pid)
         self._waiting.pop(pid, None)
         self._sessions.pop(pid, None)
         self._neighbours.leave(pid)
@@ -336,12 +352,13 @@ class Worker:
         self._give_back()
         self._neighbours.close()
         self._critics.close()
-        self._handshakes.close()
-        self._control.close(200)
+        self._control.close()
         self._context.term()
 
 
-def say(text: str) -> None:
-    """One line for the person at the terminal, or in a log; where that is full, nobody hears it."""
-    with suppress(OSError):
-        print(f"t4nmtd-worker: {text}", file=sys.stderr, flush=True)
+def _was_taken(sent: Future[bool]) -> bool:
+    """Whether a message has left for the coordinator; waits a moment for that."""
+    try:
+        return sent.result(LAST_SEND_S)
+    except FutureTimeoutError:
+        return False

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from t4nmtd_dist.agents.common.context import AgentContext
 from t4nmtd_dist.agents.common.peer_values import PeerCritics, Values
-from t4nmtd_dist.agents.common.replay_buffer import Experience
+from t4nmtd_dist.agents.common.replay_buffer import ReplayBuffer
 from t4nmtd_dist.agents.common.rollout import Rollout
 from t4nmtd_dist.agents.weights import Shapes, Weights
 from t4nmtd_dist.core.config import TaskConfig
@@ -125,14 +125,14 @@ class Learner(Protocol):
     """How many steps of each peer in another process are worth keeping; 0 where peers' experience is not used."""
 
     @property
-    def experience(self) -> Experience | None:
+    def replay_buffer(self) -> ReplayBuffer | None:
         """What it has lived through, for peers to learn from as well; None where nothing is kept."""
 
     @property
     def peer_rows(self) -> int:
         """Experiences of peers that it can learn from now."""
 
-    def learn_from(self, others: Mapping[str, Experience]) -> None:
+    def learn_from(self, others: Mapping[str, ReplayBuffer]) -> None:
         """Learn from these experiences of peers too, by pid, looked into anew at every draw; the own is left out."""
 
     @property

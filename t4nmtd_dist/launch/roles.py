@@ -42,8 +42,9 @@ def coordinator_service(
         KeyFileError: if the keys cannot be used.
         RunError: if the run directory cannot be used.
     """
+    from coordinator.run_settings import RunSettings
     from coordinator.service import CoordinatorService
-    from coordinator.state import CoordinatorState, RunSettings
+    from coordinator.state import CoordinatorState
     from t4nmtd_dist.wire.task_size import check_task_size
 
     check_task_size(task)

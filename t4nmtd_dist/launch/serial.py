@@ -11,8 +11,9 @@ from dataclasses import dataclass
 import torch
 
 from coordinator.events import Action, Event, Finish, Interrupted, Received, RecordEvaluation, Send, Tell
+from coordinator.run_settings import RunSettings
 from coordinator.saved_state import load_saved_state, saved_state
-from coordinator.state import CoordinatorState, RunSettings
+from coordinator.state import CoordinatorState
 from t4nmtd_dist.agents.common.peer_values import InterventionCounts, LocalPeers, NoPeers, PeerCritics
 from t4nmtd_dist.core.devices import Device
 from t4nmtd_dist.core.errors import LeaseError
@@ -45,7 +46,7 @@ class SerialRun:
         self.coordinator = CoordinatorState(self.task, self.settings)
         self.sessions = {pid: self._begin(pid) for pid in self.task.decomposition.pids}
         experiences = {
-            pid: s.learner.experience for pid, s in self.sessions.items() if s.learner.experience is not None
+            pid: s.learner.replay_buffer for pid, s in self.sessions.items() if s.learner.replay_buffer is not None
         }
         for session in self.sessions.values():
             session.learner.learn_from(experiences)

@@ -8,7 +8,7 @@ import time
 from coordinator.events import Finish
 from coordinator.finishing import patience, write_result
 from coordinator.run_logger import Recorder
-from coordinator.state import RunSettings
+from coordinator.run_settings import RunSettings
 from t4nmtd_dist.launch.program import Program
 from t4nmtd_dist.launch.protocol import BUDGET_SPENT, SOLVED, STOPPED, Handle, Supervisor
 from t4nmtd_dist.launch.serial import SerialRun

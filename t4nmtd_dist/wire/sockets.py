@@ -159,8 +159,13 @@ def on_loopback(endpoint: str) -> bool:
 def send(socket: Socket, envelope: Envelope, *, peer: bytes | None = None) -> bool:
     """Send a message without waiting; False if the other side is away or does not take any more."""
     frames = encode(envelope)
+    return send_frames(socket, frames if peer is None else [peer, *frames])
+
+
+def send_frames(socket: Socket, frames: list[bytes]) -> bool:
+    """Send a message that is encoded already; the result as of ``send``."""
     try:
-        socket.send_multipart(frames if peer is None else [peer, *frames], flags=zmq.NOBLOCK)
+        socket.send_multipart(frames, flags=zmq.NOBLOCK)
     except zmq.Again:
         return False
     except zmq.ZMQError as error:

@@ -10,10 +10,10 @@ from numpy.typing import NDArray
 
 from t4nmtd_dist.agents.common.batches import DrawnBatch
 from t4nmtd_dist.agents.common.off_policy_config import OffPolicyConfig
-from t4nmtd_dist.agents.common.peer_success_replay import ChanceFinds, target_symbols
+from t4nmtd_dist.agents.common.peer_success_replay import PeerSuccesses, target_symbols
 from t4nmtd_dist.agents.common.peer_values import RowNumbers
 from t4nmtd_dist.agents.common.relabelling import ExperienceReader, Reading
-from t4nmtd_dist.agents.common.replay_buffer import Experience
+from t4nmtd_dist.agents.common.replay_buffer import ReplayBuffer
 from t4nmtd_dist.agents.common.successors import draw_successors
 from t4nmtd_dist.method.protocol import Method
 
@@ -41,7 +41,7 @@ class BatchSource:
     def __init__(
         self,
         pid: str,
-        experience: Experience,
+        experience: ReplayBuffer,
         reader: ExperienceReader,
         config: OffPolicyConfig,
         method: Method,
@@ -52,10 +52,10 @@ class BatchSource:
         reading = method.reads(pid)
         self._readable = reading.q
         self.reads_peers = reading.rows == "all" and config.peer_share > 0
-        self._finds = WeakKeyDictionary[Experience, ChanceFinds]()
-        self.others: Mapping[str, Experience] = {}
+        self._finds = WeakKeyDictionary[ReplayBuffer, PeerSuccesses]()
+        self.others: Mapping[str, ReplayBuffer] = {}
 
-    def peers_experience(self) -> list[Experience]:
+    def peers_experience(self) -> list[ReplayBuffer]:
         """What is not empty, and there is use for."""
         if not self.reads_peers:
             return []
@@ -99,7 +99,7 @@ class BatchSource:
             q = np.where(self._rng.random(size) < config.relabel_share, self._any_state(size), q)
         return self.reader.read(experience, rows, q)
 
-    def _peers_rows(self, others: Sequence[Experience], size: int, success: float) -> Reading:
+    def _peers_rows(self, others: Sequence[ReplayBuffer], size: int, success: float) -> Reading:
         """A peer's experience, read in DFA states of the own sub-task: those in which the peer was may not be any.
 
         A learner that fails also draws from what its peer found by chance, as it draws from before own successes.
@@ -112,10 +112,10 @@ class BatchSource:
             rows[:wanted] = finds[self._rng.integers(len(finds), size=wanted)]
         return self.reader.read(experience, rows, self._any_state(size))
 
-    def _finds_in(self, experience: Experience) -> RowNumbers:
+    def _finds_in(self, experience: ReplayBuffer) -> RowNumbers:
         finds = self._finds.get(experience)
         if finds is None:
-            finds = ChanceFinds(target_symbols(self.reader.tables, self.reader.delta))
+            finds = PeerSuccesses(target_symbols(self.reader.tables, self.reader.delta))
             self._finds[experience] = finds
         return finds.rows(experience)
 

@@ -17,7 +17,7 @@ from t4nmtd_dist.agents.common.peer_values import PeerCritics, PeerValues, Value
 from t4nmtd_dist.agents.common.product_states import product_states
 from t4nmtd_dist.agents.common.published import Critic, PublishedCritic
 from t4nmtd_dist.agents.common.relabelling import ExperienceReader
-from t4nmtd_dist.agents.common.replay_buffer import Experience
+from t4nmtd_dist.agents.common.replay_buffer import ReplayBuffer
 from t4nmtd_dist.agents.weights import Arrays, Weights
 from t4nmtd_dist.core.state_dict import State
 from t4nmtd_dist.environments.batched import Observations
@@ -113,11 +113,13 @@ class OffPolicyLearner:
         self._context, self._config, self._rng = context, config, rng
         self._normalisation = context.normalisation()
         count = len(self.rollout.observations)
-        self.experience = Experience(config.replay_rows // count, count, context.observation_size, agent.action_size)
+        self.replay_buffer = ReplayBuffer(
+            config.replay_rows // count, count, context.observation_size, agent.action_size
+        )
         settings = context.settings
         tables = context.method.role(self.pid).tables
         reader = ExperienceReader(tables, context.task.dfa.delta, settings.gamma, settings.reward_scale, config.n_step)
-        self.batches = BatchSource(self.pid, self.experience, reader, config, context.method, rng)
+        self.batches = BatchSource(self.pid, self.replay_buffer, reader, config, context.method, rng)
         self.peer_steps = self._steps_of_each_peer()
         self._ahead = BatchesAhead(context.observation_size)
         self._begun = np.ones(count, np.bool_)
@@ -130,7 +132,7 @@ class OffPolicyLearner:
     def _steps_of_each_peer(self) -> int:
         """Of all peers together as many as the own replay holds."""
         peers = len(self._context.task.decomposition.pids) - 1
-        return max(1, self.experience.steps // max(1, peers)) if self.batches.reads_peers else 0
+        return max(1, self.replay_buffer.steps // max(1, peers)) if self.batches.reads_peers else 0
 
     def iterate(self, peers: PeerCritics) -> bool:
         """Some steps of all copies and the updates that they call for; False while there is no state to start from."""
@@ -152,13 +154,13 @@ class OffPolicyLearner:
         self._normalisation.update(observations)
         actions = self.agent.act(self._states(observations, q), self._begun, self._success())
         step = rollout.step(self.agent.environment_actions(actions))
-        self.experience.add(
+        self.replay_buffer.add(
             observations, q, actions, step.symbols, step.next_observations, step.terminated, step.ended, step.reached
         )
         self._begun = step.ended
 
     def _train(self, peers: PeerCritics) -> None:
-        if len(self.experience) < self._config.learning_starts:
+        if len(self.replay_buffer) < self._config.learning_starts:
             return
         success = self._success()
         drawn, answers = self._ahead.next(lambda number: self.batches.draw(number, success), peers)
@@ -189,7 +191,7 @@ class OffPolicyLearner:
         """See ``Learner.peer_rows``."""
         return sum(map(len, self.batches.peers_experience()))
 
-    def learn_from(self, others: Mapping[str, Experience]) -> None:
+    def learn_from(self, others: Mapping[str, ReplayBuffer]) -> None:
         """See ``Learner.learn_from``."""
         self.batches.others = others
 
@@ -212,7 +214,7 @@ class OffPolicyLearner:
         return {
             "agent": self.agent.state_dict(),
             "normalisation": self._normalisation.weights(),
-            "experience": self.experience.state_dict(),
+            "experience": self.replay_buffer.state_dict(),
             "attempts": self.rollout.state_dict(),
             "rng": self._rng.bit_generator.state,
             "owed": self._owed,
@@ -224,7 +226,7 @@ class OffPolicyLearner:
 
     def load_state_dict(self, state: State) -> None:
         """See ``Learner.load_state_dict``; peers are asked again about the batches that were drawn ahead."""
-        self.experience.load(state["experience"])
+        self.replay_buffer.load_state_dict(state["experience"])
         self._normalisation.load(state["normalisation"])
         self.agent.load_state_dict(state["agent"])
         self.rollout.load_state_dict(state["attempts"])

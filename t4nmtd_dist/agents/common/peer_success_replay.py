@@ -1,11 +1,11 @@
-"""What a peer came upon by chance and has no use for, but the own sub-task has (docs/decisions/016)."""
+"""Rows of a peer's replay in which the own sub-task would have succeeded (docs/decisions/016)."""
 
 from __future__ import annotations
 
 import numpy as np
 from numpy.typing import NDArray
 
-from t4nmtd_dist.agents.common.replay_buffer import Experience, Flags, Indices
+from t4nmtd_dist.agents.common.replay_buffer import Flags, Indices, ReplayBuffer
 from t4nmtd_dist.method.rewards import SubtaskTables
 
 
@@ -16,10 +16,10 @@ def target_symbols(tables: SubtaskTables, delta: NDArray[np.int32]) -> Flags:
     return found
 
 
-class ChanceFinds:
-    """The rows of one peer's experience that lead to such a symbol, the step that read it included.
+class PeerSuccesses:
+    """The rows of one peer's replay buffer that lead to such a symbol, the step that read it included.
 
-    They depend on what the experience holds now and on nothing else, so that a resumed run draws the same ones.
+    They depend on the buffer's present content alone, so that a resumed run draws the same ones.
 
     Args:
         symbols: which symbols count, bool [L].
@@ -31,8 +31,8 @@ class ChanceFinds:
         self._seen = 0
         self._rows: Indices = np.zeros(0, np.int64)
 
-    def rows(self, experience: Experience) -> Indices:
-        """Their numbers [k], ascending; it is always the same experience, which may have grown."""
+    def rows(self, experience: ReplayBuffer) -> Indices:
+        """Their numbers [k], ascending; always call it with the same buffer, which may have grown."""
         if not len(self._leads):
             self._leads = np.zeros(len(experience.symbols), np.bool_)
         first = max(self._seen, experience.written - experience.steps)

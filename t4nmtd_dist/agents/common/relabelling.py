@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from t4nmtd_dist.agents.common.product_states import product_states
-from t4nmtd_dist.agents.common.replay_buffer import Experience
+from t4nmtd_dist.agents.common.replay_buffer import ReplayBuffer
 from t4nmtd_dist.method.rewards import SubtaskTables
 
 Floats = NDArray[np.float32]
@@ -64,7 +64,7 @@ class ExperienceReader:
     reward_scale: float
     n_step: int
 
-    def read(self, experience: Experience, rows: NDArray[np.int64], q: States) -> Reading:
+    def read(self, experience: ReplayBuffer, rows: NDArray[np.int64], q: States) -> Reading:
         """Rows [B] of an experience, read in the DFA states ``q`` [B]."""
         returns = experience.returns(rows, q, self.tables, self.delta, self.gamma, self.n_step)
         states = len(self.delta)

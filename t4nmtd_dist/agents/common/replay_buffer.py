@@ -86,7 +86,7 @@ class RowSet:
         return self._members[rng.integers(self._size, size=count)]
 
 
-class Experience:
+class ReplayBuffer:
     """A ring of ``steps`` time steps of N copies of the environment; flat row = (step modulo ``steps``) * N + copy.
 
     Args:
@@ -117,9 +117,9 @@ class Experience:
     def __len__(self) -> int:
         return min(self._written, self.steps) * self._count
 
-    def alike(self, steps: int) -> Experience:
+    def alike(self, steps: int) -> ReplayBuffer:
         """An empty one for rows of the same shapes."""
-        return Experience(steps, self._count, self.observations.shape[1], self.actions.shape[1])
+        return ReplayBuffer(steps, self._count, self.observations.shape[1], self.actions.shape[1])
 
     @property
     def written(self) -> int:
@@ -240,7 +240,7 @@ class Experience:
         written = np.array(self._written, np.int64)
         return filled | {"written": written, "before_success": self._before_success.members}
 
-    def load(self, state: Mapping[str, NDArray[Any]]) -> None:
+    def load_state_dict(self, state: Mapping[str, NDArray[Any]]) -> None:
         """Go on from a ``state``.
 
         Raises:

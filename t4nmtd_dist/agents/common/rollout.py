@@ -76,7 +76,6 @@ class Rollout:
         q: DFA states int32 [N] now.
         statistics: of attempts.
         interactions: environment steps.
-        pulse: called before every step, and by learners between the parts of a long update: a sign of life.
     """
 
     def __init__(
@@ -96,7 +95,6 @@ class Rollout:
         self._steps = np.zeros(env.count, dtype=np.int32)
         self._steps_in_q = np.zeros(env.count, dtype=np.int32)
         self._begun = False
-        self.pulse: Callable[[], None] = lambda: None
         self.progress = Progress()
         self.interactions = 0
         self.statistics = AttemptStatistics()
@@ -122,7 +120,6 @@ class Rollout:
         Raises:
             EnvError: if no attempt can begin any more.
         """
-        self.pulse()
         step = self._transition(actions)
         self._report_changes(step)
         self._count_endings(step)

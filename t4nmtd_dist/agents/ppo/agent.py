@@ -14,7 +14,7 @@ from t4nmtd_dist.agents.common.networks import load_weights, weights_of
 from t4nmtd_dist.agents.common.peer_values import PeerCritics, Questions, Values
 from t4nmtd_dist.agents.common.product_states import product_states
 from t4nmtd_dist.agents.common.published import PublishedCritic
-from t4nmtd_dist.agents.common.replay_buffer import Experience
+from t4nmtd_dist.agents.common.replay_buffer import ReplayBuffer
 from t4nmtd_dist.agents.common.rollout import RolloutStep
 from t4nmtd_dist.agents.common.successors import draw_successors
 from t4nmtd_dist.agents.ppo.config import PPOConfig
@@ -49,7 +49,7 @@ class PPOLearner:
     """
 
     value_shape: tuple[int, ...] = ()
-    experience = None
+    replay_buffer = None
     peer_steps = peer_rows = 0
 
     def __init__(self, context: AgentContext, config: PPOConfig) -> None:
@@ -57,14 +57,11 @@ class PPOLearner:
         self._context, self._config, self._rng = context, config, context.rng()
         self._normalisation = context.normalisation()
         self.network = _initial_network(context)
-        self._update = PPOUpdate(self.network, config, context.device, self._rng, self._pulse)
+        self._update = PPOUpdate(self.network, config, context.device, self._rng)
         count = len(self.rollout.observations)
         self.trajectory = Trajectory.empty(config.rollout, count, context.inputs, context.observation_size)
         self.published = self.replica()
         self.version = 0
-
-    def _pulse(self) -> None:
-        self.rollout.pulse()  # looked up anew: the worker may replace it at any time
 
     @property
     def gradient_steps(self) -> int:
@@ -174,7 +171,7 @@ class PPOLearner:
     def _publish(self) -> None:
         self.published.update(weights_of(self.network.critic) | self._normalisation.weights(), self.version)
 
-    def learn_from(self, others: Mapping[str, Experience]) -> None:
+    def learn_from(self, others: Mapping[str, ReplayBuffer]) -> None:
         """Do nothing: PPO learns from fresh experience of its own policy only."""
 
     def weights(self) -> Weights:

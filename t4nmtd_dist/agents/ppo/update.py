@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -27,17 +26,14 @@ class PPOUpdate:
         config: settings of PPO.
         device: where the network is.
         rng: orders the rows of an epoch.
-        pulse: called before every gradient step: a sign of life.
 
     Attributes:
         gradient_steps: taken so far.
         losses: entropy (nats) and value loss of the last gradient step, on the device; None before the first.
     """
 
-    def __init__(
-        self, network: ActorCritic, config: PPOConfig, device: str, rng: np.random.Generator, pulse: Callable[[], None]
-    ) -> None:
-        self._network, self._config, self._device, self._rng, self._pulse = network, config, device, rng, pulse
+    def __init__(self, network: ActorCritic, config: PPOConfig, device: str, rng: np.random.Generator) -> None:
+        self._network, self._config, self._device, self._rng = network, config, device, rng
         self._optimiser = FlatAdam.of_module(network, config.learning_rate, epsilon=1e-5)
         self.gradient_steps = 0
         self.losses: tuple[Tensor, Tensor] | None = None
@@ -49,7 +45,6 @@ class PPOUpdate:
         for _ in range(config.epochs):
             order = torch.from_numpy(self._rng.permutation(len(advantages))).to(self._device)
             for rows in torch.split(order, config.minibatch):
-                self._pulse()
                 self._gradient_step(*(column[rows] for column in columns), entropy_coefficient=entropy_coefficient)
 
     def _normalised(self, advantages: Floats) -> Floats:

@@ -19,7 +19,7 @@ from t4nmtd_dist.wire.rate_limited_log import Tell
 from t4nmtd_dist.wire.zmq_types import Context, Socket
 
 if TYPE_CHECKING:
-    from t4nmtd_dist.agents.common.replay_buffer import Experience
+    from t4nmtd_dist.agents.common.replay_buffer import ReplayBuffer
 
 ASK_EVERY_S = 0.25
 ASK_FOR_REST_AFTER_S = 0.12  # peers answer ten times a second
@@ -73,7 +73,7 @@ class PeerExperience(PeerClient[_Line]):
         self,
         context: Context,
         sender: str,
-        make: Callable[[], Experience],
+        make: Callable[[], ReplayBuffer],
         symbols: int,
         keys: ClientKeys | None = None,
         clock: Callable[[], float] = time.monotonic,
@@ -81,7 +81,7 @@ class PeerExperience(PeerClient[_Line]):
     ) -> None:
         super().__init__(context, sender, keys, _Line, clock)
         self._make, self._symbols, self._tell = make, symbols, tell
-        self.copies: dict[str, Experience] = {}
+        self.copies: dict[str, ReplayBuffer] = {}
 
     def pull(self) -> None:
         """Take what has come, and ask for more of those that are due: soon, where not all fitted into an answer."""
@@ -128,7 +128,7 @@ class PeerExperience(PeerClient[_Line]):
             line.ask_at = self._clock() + ASK_FOR_REST_AFTER_S
 
 
-def checked_columns(arrays: Mapping[str, NDArray[Any]], room: Experience, symbols: int) -> dict[str, NDArray[Any]]:
+def checked_columns(arrays: Mapping[str, NDArray[Any]], room: ReplayBuffer, symbols: int) -> dict[str, NDArray[Any]]:
     """The columns of an answer.
 
     Args:

@@ -11,7 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from t4nmtd_dist.agents.common.replay_buffer import BEFORE_SUCCESS, Experience, Returns, RowSet
+from t4nmtd_dist.agents.common.replay_buffer import BEFORE_SUCCESS, ReplayBuffer, Returns, RowSet
 from t4nmtd_dist.core.errors import RunError
 from t4nmtd_dist.method.rewards import SubtaskTables
 
@@ -50,15 +50,15 @@ class Step:
 
 @dataclass
 class History:
-    """An experience, and beside it everything that was ever added: ``steps[t][copy]``."""
+    """A replay buffer, and beside it everything that was ever added: ``steps[t][copy]``."""
 
-    experience: Experience
+    replay: ReplayBuffer
     capacity: int
     steps: list[list[Step]] = field(default_factory=list)
 
     @property
     def count(self) -> int:
-        return self.experience.observations.shape[0] // self.capacity
+        return self.replay.observations.shape[0] // self.capacity
 
     def row(self, t: int, copy: int) -> int:
         return (t % self.capacity) * self.count + copy
@@ -86,7 +86,7 @@ class History:
         numbers, read = t * count + np.arange(count), rng.integers(symbols, size=count)
         observations = np.repeat(numbers[:, None], SIZE, axis=1).astype(np.float32)
         actions = rng.uniform(-1, 1, (count, ACTIONS)).astype(np.float32)
-        self.experience.add(
+        self.replay.add(
             observations, np.zeros(count, np.int32), actions, read, observations + 0.5, terminated, ended, reached
         )
         columns = (numbers, read, terminated, ended, reached)
@@ -96,7 +96,7 @@ class History:
 def history(
     rng: np.random.Generator, steps: int, *, capacity: int, count: int, symbols: int, end: float = 0.2
 ) -> History:
-    made = History(Experience(capacity, count, SIZE, ACTIONS), capacity)
+    made = History(ReplayBuffer(capacity, count, SIZE, ACTIONS), capacity)
     for _ in range(steps):
         made.add(rng, symbols, end=end)
     return made
@@ -140,9 +140,9 @@ def test_returns_are_those_of_a_slow_reference_in_whatever_state_they_are_read(
     places = past.stored()
     rows = np.array([past.row(t, copy) for t, copy in places])
     q = rng.integers(states, size=len(rows)).astype(np.int32)
-    found = past.experience.returns(rows, q, automaton.tables, automaton.delta, gamma, n)
-    last = past.experience.next_observations[found.last, 0]
-    assert (past.experience.next_observations[found.last] == last[:, None]).all()
+    found = past.replay.returns(rows, q, automaton.tables, automaton.delta, gamma, n)
+    last = past.replay.next_observations[found.last, 0]
+    assert (past.replay.next_observations[found.last] == last[:, None]).all()
     for i, (t, copy) in enumerate(places):
         reward, discount, number, q_next, boundary = expected_return(past, automaton, t, copy, int(q[i]), gamma, n)
         assert found.reward[i] == pytest.approx(reward, abs=1e-9)
@@ -172,14 +172,14 @@ def chain_returns(
     symbols: list[int], *, n: int, ends: tuple[int, ...] = (), terminations: tuple[int, ...] = ()
 ) -> Returns:
     """Returns with gamma 0.5 of all steps of one copy, read in state 0."""
-    experience = Experience(20, 1, SIZE, ACTIONS)
+    replay = ReplayBuffer(20, 1, SIZE, ACTIONS)
     for t, symbol in enumerate(symbols):
         observations, actions = np.full((1, SIZE), t, np.float32), np.zeros((1, ACTIONS), np.float32)
         terminated, ended = np.array([t in terminations]), np.array([t in ends or t in terminations])
         read, q, reached = np.array([symbol]), np.zeros(1, np.int32), np.zeros(1, np.bool_)
-        experience.add(observations, q, actions, read, observations, terminated, ended, reached)
+        replay.add(observations, q, actions, read, observations, terminated, ended, reached)
     rows = np.arange(len(symbols))
-    return experience.returns(rows, np.zeros(len(rows), np.int32), CHAIN.tables, CHAIN.delta, 0.5, n)
+    return replay.returns(rows, np.zeros(len(rows), np.int32), CHAIN.tables, CHAIN.delta, 0.5, n)
 
 
 def test_a_return_stops_where_the_state_changes_and_the_value_there_is_the_peers() -> None:
@@ -232,8 +232,8 @@ def test_steps_before_successes_are_those_of_the_attempt_that_are_still_there(
     rng = np.random.default_rng(seed)
     past = history(rng, steps, capacity=capacity, count=count, symbols=2, end=end)
     expected = past.before_success()
-    assert sorted(past.experience.state_dict()["before_success"]) == sorted(expected)
-    rows = past.experience.sample(20, 1.0, rng)
+    assert sorted(past.replay.state_dict()["before_success"]) == sorted(expected)
+    rows = past.replay.sample(20, 1.0, rng)
     stored = {past.row(t, copy) for t, copy in past.stored()}
     assert set(rows.tolist()) <= (expected or stored)
 
@@ -241,21 +241,21 @@ def test_steps_before_successes_are_those_of_the_attempt_that_are_still_there(
 def test_a_share_of_a_batch_comes_from_before_successes_and_the_rest_from_everywhere() -> None:
     rng = np.random.default_rng(0)
     past = history(rng, 300, capacity=200, count=2, symbols=2, end=0.02)
-    special, all_rows = past.before_success(), len(past.experience)
+    special, all_rows = past.before_success(), len(past.replay)
     assert 0 < len(special) < all_rows
-    rows = past.experience.sample(8000, 0.25, rng)
+    rows = past.replay.sample(8000, 0.25, rng)
     assert set(rows[:2000].tolist()) == special
     assert set(rows[2000:].tolist()) == set(range(all_rows))
     for part, among in ((rows[:2000], len(special)), (rows[2000:], all_rows)):
         counts = np.bincount(part, minlength=all_rows)
         assert counts.max() < len(part) / among + 6 * np.sqrt(len(part) / among) + 6
-    assert set(past.experience.sample(8000, 0.0, rng).tolist()) == set(range(all_rows))
+    assert set(past.replay.sample(8000, 0.0, rng).tolist()) == set(range(all_rows))
 
 
 def test_without_successes_all_rows_are_drawn_from_what_is_filled() -> None:
     rng = np.random.default_rng(0)
     past = history(rng, 7, capacity=50, count=2, symbols=2, end=0.0)
-    assert set(past.experience.sample(1000, 0.5, rng).tolist()) == set(range(14))
+    assert set(past.replay.sample(1000, 0.5, rng).tolist()) == set(range(14))
 
 
 @settings(max_examples=60)
@@ -279,8 +279,8 @@ def test_a_set_of_rows_holds_what_a_set_would(changes: list[tuple[bool, set[int]
 # Round trip
 
 
-def frozen(experience: Experience) -> dict[str, NDArray[Any]]:
-    return {name: array.copy() for name, array in experience.state_dict().items()}
+def frozen(replay: ReplayBuffer) -> dict[str, NDArray[Any]]:
+    return {name: array.copy() for name, array in replay.state_dict().items()}
 
 
 def equal(a: dict[str, NDArray[Any]], b: dict[str, NDArray[Any]]) -> bool:
@@ -293,15 +293,15 @@ def equal(a: dict[str, NDArray[Any]], b: dict[str, NDArray[Any]]) -> bool:
 def test_what_was_stored_and_loaded_goes_on_in_the_same_way(seed: int, steps: int, capacity: int, count: int) -> None:
     rng = np.random.default_rng(seed)
     first = history(rng, steps, capacity=capacity, count=count, symbols=3)
-    second = History(Experience(capacity, count, SIZE, ACTIONS), capacity, list(first.steps))
-    second.experience.load(frozen(first.experience))
-    assert equal(first.experience.state_dict(), second.experience.state_dict())
+    second = History(ReplayBuffer(capacity, count, SIZE, ACTIONS), capacity, list(first.steps))
+    second.replay.load_state_dict(frozen(first.replay))
+    assert equal(first.replay.state_dict(), second.replay.state_dict())
     for past in (first, second):
         rng = np.random.default_rng(7)
         for _ in range(30):
             past.add(rng, 3, end=0.1)
-    assert equal(first.experience.state_dict(), second.experience.state_dict())
-    draws = [past.experience.sample(50, 0.5, np.random.default_rng(8)) for past in (first, second)]
+    assert equal(first.replay.state_dict(), second.replay.state_dict())
+    draws = [past.replay.sample(50, 0.5, np.random.default_rng(8)) for past in (first, second)]
     assert np.array_equal(*draws)
 
 
@@ -309,4 +309,4 @@ def test_what_was_stored_and_loaded_goes_on_in_the_same_way(seed: int, steps: in
 def test_a_replay_of_another_size_is_refused(capacity: int, count: int, size: int) -> None:
     past = history(np.random.default_rng(0), 12, capacity=10, count=2, symbols=2)
     with pytest.raises(RunError, match="has shape"):
-        Experience(capacity, count, size, ACTIONS).load(past.experience.state_dict())
+        ReplayBuffer(capacity, count, size, ACTIONS).load_state_dict(past.replay.state_dict())

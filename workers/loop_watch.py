@@ -1,0 +1,108 @@
+"""Notices when the learner loop makes no progress, as when it hangs in a user's environment."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Hashable
+from itertools import pairwise
+from pathlib import Path
+from types import FrameType
+from typing import Protocol
+
+FIRST_WARNING_S = 60.0  # each further one after twice the time
+HUNG_S = 600.0  # after which the loop's leases are not renewed any more
+
+_OWN_PACKAGES = ("t4nmtd_dist", "workers")
+_ROOT = Path(__file__).resolve().parents[1]
+
+
+class Loop(Protocol):
+    """What another thread may ask of a learner loop."""
+
+    def name(self) -> str:
+        """What it works at, such as its sub-tasks."""
+
+    def progress(self) -> Hashable:
+        """A value that changes with every turn, environment step and update."""
+
+    def where(self) -> str:
+        """Which call it is in."""
+
+
+class LoopWatch:
+    """Measures how long the learner loop has made no progress; used by the thread that renews its leases.
+
+    Args:
+        loop: the loop.
+        now: the clock.
+
+    Attributes:
+        idle_s: seconds without progress at the last look.
+    """
+
+    def __init__(self, loop: Loop, now: float) -> None:
+        self._loop = loop
+        self._seen: Hashable = None
+        self._since, self._stopped_before = now, 0.0
+        self._warn_at = FIRST_WARNING_S
+        self.idle_s = 0.0
+
+    @property
+    def hangs(self) -> bool:
+        """Whether the loop counts as hung."""
+        return self.idle_s >= HUNG_S
+
+    def check(self, now: float, stopped_s: float) -> str | None:
+        """Look at the loop; a line if one is due.
+
+        Args:
+            now: the clock.
+            stopped_s: seconds in all in which this process did not run; they do not count.
+        """
+        seen = self._loop.progress()
+        if seen != self._seen:
+            self._seen, self._since, self._stopped_before = seen, now, stopped_s
+            self._warn_at, self.idle_s = FIRST_WARNING_S, 0.0
+            return None
+        hung_before = self.hangs
+        self.idle_s = now - self._since - (stopped_s - self._stopped_before)
+        if self.hangs and not hung_before:
+            return f"{self._text()}; its lease is not renewed any more"
+        if self.idle_s < self._warn_at:
+            return None
+        self._warn_at *= 2
+        return self._text()
+
+    def _text(self) -> str:
+        return f"{self._loop.name()}: no step for {self.idle_s:.0f} s, inside {self._loop.where()}"
+
+
+def place_of(thread: int) -> str:
+    """Where a thread of this process is: the last call out of our own code, and the innermost one.
+
+    Args:
+        thread: its identifier, as ``threading.get_ident`` gives it.
+    """
+    frames = _stack(sys._current_frames().get(thread))
+    left = [after for before, after in pairwise(frames) if _is_own(before) and not _is_own(after)]
+    named = [_name(frame) for frame in (*left[-1:], *frames[-1:])]
+    return ", at ".join(dict.fromkeys(named)) or "a thread that has ended"
+
+
+def _stack(frame: FrameType | None) -> list[FrameType]:
+    """The frames of a thread, the outermost first."""
+    found: list[FrameType] = []
+    while frame is not None:
+        found.append(frame)
+        frame = frame.f_back
+    return found[::-1]
+
+
+def _is_own(frame: FrameType) -> bool:
+    path = Path(frame.f_code.co_filename)
+    return any(path.is_relative_to(_ROOT / package) for package in _OWN_PACKAGES)
+
+
+def _name(frame: FrameType) -> str:
+    code = frame.f_code
+    return f"{code.co_qualname} ({Path(code.co_filename).name}:{frame.f_lineno})"
