@@ -43,7 +43,7 @@ import tomli_w
 
 from coordinator.endpoints import Access
 from coordinator.run_settings import RunSettings
-from coordinator.service import CoordinatorService
+from coordinator.service import CoordinatorService, RunStorage
 from coordinator.state import CoordinatorState
 from envs.racecar_track import TARGET_RADIUS, TARGETS, on_track
 from t4nmtd_dist.environments.preparation import prepared
@@ -53,7 +53,7 @@ from t4nmtd_dist.method.compiled import compile_task
 from t4nmtd_dist.runs.directory import CHECKPOINTS_FOLDER, CONFIG_FILE, ENDPOINTS_FILE
 from t4nmtd_dist.tasks import load_task
 from t4nmtd_dist.wire.messages import Status
-from t4nmtd_dist.wire.status_client import Inquiry
+from t4nmtd_dist.wire.status_client import StatusClient
 from t4nmtd_dist.wire.zmq_types import new_context
 
 PIDS = ("g1", "g2", "g3", "g4")
@@ -136,8 +136,8 @@ class Run:
             if self.resume is not None:
                 places += ["--checkpoints", str(self.folder / "run" / CHECKPOINTS_FOLDER), *SELDOM]
             self._spawn([*python_command("worker"), "--connect", control, "--instance", name, *places], name)
-        self.inquiry = Inquiry(new_context(), control)
-        self.inquiry.agree(ANSWER_S)
+        self.inquiry = StatusClient(new_context(), control)
+        self.inquiry.handshake(ANSWER_S)
 
     def _fresh(self) -> list[str]:
         settings = [f"learner.intervention={self.mode.intervention}", NO_EVALUATIONS, *self.flags]
@@ -229,7 +229,7 @@ def serve(folder: Path, flags: Sequence[str]) -> None:
             for start in scripted_starts(pid):
                 state.records[pid].buffer.add(q, start)
     state.method.load(entries)
-    CoordinatorService(state, run, Access(LOOPBACK, LOOPBACK, None, False), restart=False).serve()
+    CoordinatorService(state, RunStorage(run), Access(LOOPBACK, LOOPBACK, None, False)).serve()
 
 
 def results(runs: Sequence[Run]) -> list[dict[str, object]]:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import time
 from pathlib import Path
 
-from coordinator.kept_policy import keep_exported
+from coordinator.best_policy import consider_exported
 from coordinator.saved_state import load_saved_state, raise_counts, saved_counts, saved_state
 from coordinator.state import CoordinatorState
 from t4nmtd_dist.agents.weights import acting_parameters
@@ -23,7 +23,7 @@ TROUBLE_S = 60.0
 RESULT_OVERHEAD = 2**20  # bytes of a result besides the weights of its actors
 
 
-class StateKeeper:
+class StateCheckpointing:
     """Keeps what a resume needs of the coordinator.
 
     Args:
@@ -87,7 +87,7 @@ def result_size(state: CoordinatorState) -> int:
     return size + RESULT_OVERHEAD if weights else 0
 
 
-def go_on(state: CoordinatorState, checkpoints: Path, warn: Warn) -> str:
+def resume_state(state: CoordinatorState, checkpoints: Path, warn: Warn) -> str:
     """Let a fresh coordinator go on with a stopped run; what it goes on from, in words.
 
     Args:
@@ -105,7 +105,7 @@ def go_on(state: CoordinatorState, checkpoints: Path, warn: Warn) -> str:
     spent = counts is not None and counts["run_id"] == state.settings.run_id
     if counts is not None and spent:
         raise_counts(state, counts)
-    keep_exported(state, checkpoints.parent / "policy", warn)
+    consider_exported(state, checkpoints.parent / "policy", warn)
     if found is not None:
         return f"resumed after {state.interactions} interactions from checkpoint {found.path.name}"
     known = f"{source} has what was spent" if spent else "what was spent is not known"

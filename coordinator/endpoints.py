@@ -1,4 +1,4 @@
-"""The coordinator's two bound sockets, and who may come in by them."""
+"""The coordinator's two bound sockets, and which clients they accept."""
 
 from __future__ import annotations
 
@@ -16,8 +16,8 @@ from t4nmtd_dist.wire.auth.zap import Authenticator, Refusal
 from t4nmtd_dist.wire.codec import Envelope
 from t4nmtd_dist.wire.connection_guard import ConnectionGuard
 from t4nmtd_dist.wire.limits import CONTROL_LIMITS, STATE_LIMITS, Limits
-from t4nmtd_dist.wire.rate_limited_log import Notices
-from t4nmtd_dist.wire.secure_receiver import Arrival, Gate
+from t4nmtd_dist.wire.rate_limited_log import RateLimitedLog
+from t4nmtd_dist.wire.secure_receiver import Arrival, SecureReceiver
 from t4nmtd_dist.wire.sockets import bind, bound_endpoint, send
 from t4nmtd_dist.wire.zmq_types import Context, Socket, new_context
 
@@ -41,7 +41,7 @@ class Access:
     insecure: bool = False
 
 
-class Doors:
+class BoundSockets:
     """Binds both sockets, with keys if there are any; to be used from one thread.
 
     Args:
@@ -54,7 +54,7 @@ class Doors:
 
     def __init__(self, access: Access) -> None:
         self._noticed: SimpleQueue[str] = SimpleQueue()
-        self._notices = Notices(self._noticed.put)
+        self._notices = RateLimitedLog(self._noticed.put)
         self._own: KeyPair | None = None
         self._allowed: AllowedFolder | None = None
         self._acted_upon: Set[str] = frozenset()
@@ -65,10 +65,12 @@ class Doors:
             undo.callback(self._context.destroy, 0)
             undo.callback(self._close_guards)
             if access.keys is not None:
-                self._authenticator = self._let_in(access.keys)
+                self._authenticator = self._open_authenticator(access.keys)
                 undo.callback(self._authenticator.close)
-            self._control, self._control_gate = self._bind(zmq.ROUTER, access.control, access.insecure, CONTROL_LIMITS)
-            self._publisher, self._state_gate = self._bind(zmq.XPUB, access.publish, access.insecure, STATE_LIMITS)
+            self._control, self._control_receiver = self._bind(
+                zmq.ROUTER, access.control, access.insecure, CONTROL_LIMITS
+            )
+            self._publisher, self._state_receiver = self._bind(zmq.XPUB, access.publish, access.insecure, STATE_LIMITS)
             undo.pop_all()
         self.control, self.publish = bound_endpoint(self._control), bound_endpoint(self._publisher)
         self._poller = zmq.Poller()
@@ -80,16 +82,16 @@ class Doors:
         """Keys for this process's own dashboard."""
         return None if self._own is None else ClientKeys(self._own, self._own.public)
 
-    def _let_in(self, keys: Path) -> Authenticator:
+    def _open_authenticator(self, keys: Path) -> Authenticator:
         self._own = load_coordinator(keys)
-        self._allowed = AllowedFolder(keys, self._own.public, self._notices.once)
+        self._allowed = AllowedFolder(keys, self._own.public, self._notices.log)
         self._acted_upon = self._allowed.all()
         return Authenticator(self._context, self._allowed, self._refused)
 
     def _refused(self, refusal: Refusal) -> None:
-        self._notices.once(f"refused a client at {refusal.address}: its key {refusal.key} is not on the list")
+        self._notices.log(f"refused a client at {refusal.address}: its key {refusal.key} is not on the list")
 
-    def _bind(self, kind: int, endpoint: str, insecure: bool, limits: Limits) -> tuple[Socket, Gate]:
+    def _bind(self, kind: int, endpoint: str, insecure: bool, limits: Limits) -> tuple[Socket, SecureReceiver]:
         socket = bind(
             self._context,
             kind,
@@ -101,14 +103,14 @@ class Doors:
         )
         where = bound_endpoint(socket)
         guard = ConnectionGuard(
-            socket, limits, lambda text: self._notices.once(f"{where}: {text}"), lambda _: self._not_agreed(where)
+            socket, limits, lambda text: self._notices.log(f"{where}: {text}"), lambda _: self._not_agreed(where)
         )
         self._guards.append(guard)
-        return socket, Gate(socket, limits, self._allowed, self._notices.once, guard)
+        return socket, SecureReceiver(socket, limits, self._allowed, self._notices.log, guard)
 
     def _not_agreed(self, where: str) -> None:
         if self._own is not None:
-            self._notices.once(f"refused a client at {where}: it has no key, or not this coordinator's public key")
+            self._notices.log(f"refused a client at {where}: it has no key, or not this coordinator's public key")
 
     def wait(self, seconds: float) -> tuple[bool, bool]:
         """Wait until something arrives: whether messages do, and subscriptions."""
@@ -117,11 +119,11 @@ class Doors:
 
     def arrivals(self) -> Iterator[Arrival]:
         """Messages that wait, of those who may send them."""
-        return self._control_gate.arrivals(MESSAGES_PER_TURN)
+        return self._control_receiver.arrivals(MESSAGES_PER_TURN)
 
     def subscribed(self) -> bool:
         """Take what waits at the state socket; whether it is somebody's subscription."""
-        return self._state_gate.subscribed(MESSAGES_PER_TURN)
+        return self._state_receiver.subscribed(MESSAGES_PER_TURN)
 
     def answer(self, peer: bytes, envelope: Envelope) -> None:
         """Send to one peer."""
@@ -140,8 +142,8 @@ class Doors:
         if allowed == self._acted_upon:
             return None
         self._acted_upon = allowed
-        self._control_gate.expel()
-        self._state_gate.expel()
+        self._control_receiver.disconnect_revoked()
+        self._state_receiver.disconnect_revoked()
         return allowed
 
     def notices(self) -> Iterator[str]:

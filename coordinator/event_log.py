@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections import deque
 from dataclasses import dataclass
 
-from coordinator.events import Tell
+from coordinator.events import LogEvent
 from t4nmtd_dist.wire.messages import EventLine
 
 EVENTS_KEPT = 50
@@ -54,8 +54,8 @@ class EventLog:
         self._clock = clock
         self.lines: deque[EventLine] = deque(maxlen=EVENTS_KEPT)
 
-    def add(self, text: str) -> Tell:
+    def add(self, text: str) -> LogEvent:
         """Log a line; the action that writes it down."""
         line = EventLine(elapsed_s=self._clock.elapsed_s, text=text)
         self.lines.append(line)
-        return Tell(line.elapsed_s, text)
+        return LogEvent(line.elapsed_s, text)

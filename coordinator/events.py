@@ -48,14 +48,14 @@ class KeysChanged:
 
 
 @dataclass(frozen=True)
-class Noticed:
+class LogRequest:
     """Something about the sockets that is worth a line in the event log."""
 
     now: float
     text: str
 
 
-Event = Received | Tick | Interrupted | KeysChanged | Noticed
+Event = Received | Tick | Interrupted | KeysChanged | LogRequest
 
 
 @dataclass(frozen=True)
@@ -69,7 +69,7 @@ class Send:
 
 
 @dataclass(frozen=True)
-class Tell:
+class LogEvent:
     """Something worth a line in the event log and on the dashboard."""
 
     elapsed_s: float
@@ -91,4 +91,4 @@ class Finish:
     reason: str
 
 
-Action = Send | Tell | RecordEvaluation | Finish
+Action = Send | LogEvent | RecordEvaluation | Finish

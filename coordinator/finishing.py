@@ -6,7 +6,7 @@ import time
 from collections.abc import Callable
 from typing import Protocol
 
-from coordinator.run_logger import Recorder
+from coordinator.run_logger import RunLogger
 from t4nmtd_dist.core.errors import RunError
 
 WAIT_S = 60.0
@@ -14,7 +14,7 @@ PAUSE_S = 1.0
 TELL_S = 10.0
 
 
-class Keeper(Protocol):
+class Checkpointing(Protocol):
     """Holds a run's checkpoints."""
 
     def make_room(self) -> None:
@@ -24,12 +24,14 @@ class Keeper(Protocol):
         """Write everything a last time; a solved run whose result is ``written`` needs no checkpoints any more."""
 
 
-def write_result(recorder: Recorder, keeper: Keeper, tell: Callable[[str], None], pause: Callable[[], bool]) -> None:
+def write_result(
+    logger: RunLogger, checkpointing: Checkpointing, tell: Callable[[str], None], pause: Callable[[], bool]
+) -> None:
     """Write a run's result and last checkpoint; a solved run makes room for it, then waits for room.
 
     Args:
-        recorder: of the run, which is over.
-        keeper: of its checkpoints.
+        logger: of the run, which is over.
+        checkpointing: of its checkpoints.
         tell: called with a line about what is waited for.
         pause: waits for a moment; False once there is no use in waiting any longer.
 
@@ -38,28 +40,28 @@ def write_result(recorder: Recorder, keeper: Keeper, tell: Callable[[str], None]
             else may be raised on the way is raised after that, too.
     """
     try:
-        if not recorder.solved:
-            recorder.close()
+        if not logger.solved:
+            logger.close()
         else:
-            _write_patiently(recorder, keeper, tell, pause)
+            _write_patiently(logger, checkpointing, tell, pause)
     except Exception:
-        keeper.finish(written=False)
+        checkpointing.finish(written=False)
         raise
-    keeper.finish(written=True)
+    checkpointing.finish(written=True)
 
 
 def _write_patiently(
-    recorder: Recorder, keeper: Keeper, tell: Callable[[str], None], pause: Callable[[], bool]
+    logger: RunLogger, checkpointing: Checkpointing, tell: Callable[[str], None], pause: Callable[[], bool]
 ) -> None:
     told = -TELL_S
     roomy = False
     while True:
         try:
-            recorder.close()
+            logger.close()
             return
         except RunError as error:
             if not roomy:
-                keeper.make_room()
+                checkpointing.make_room()
                 roomy = True
                 continue
             if time.monotonic() >= told + TELL_S:
@@ -69,7 +71,7 @@ def _write_patiently(
                 raise
 
 
-def patience(pause: Callable[[], object], give_up: Callable[[], bool]) -> Callable[[], bool]:
+def retry_pauses(pause: Callable[[], object], give_up: Callable[[], bool]) -> Callable[[], bool]:
     """Pauses that have a use for ``WAIT_S`` seconds from the first.
 
     Args:

@@ -61,7 +61,7 @@ class LeaseTable:
         free = [place for place in self.places if not self.live(place, now)]
         return min(free, key=lambda place: (place in self._leases, self.places.index(place)), default=None)
 
-    def left_by(self, instance: str, key: str, holder: bytes, now: float) -> str | None:
+    def held_before_by(self, instance: str, key: str, holder: bytes, now: float) -> str | None:
         """The place whose live lease this instance got over an earlier connection: it was started again."""
         own = (lease for lease in self.holders(now) if (lease.instance, lease.key) == (instance, key))
         return next((lease.place for lease in own if lease.holder != holder), None)

@@ -62,7 +62,7 @@ class Leasing:
             return [_answer(event, unknown_pid(self._task.config.name, place, table.places))]
         stands_in = table is self.evaluator and claim.stand_in
         if table is self.evaluator and not stands_in:
-            self.stand_ins.give_way()
+            self.stand_ins.yield_to_evaluator()
         before = table.get(place)
         instance = f"{claim.instance} between its turns" if stands_in else claim.instance
         lease = table.claim(place, peer, instance, claim.critic_endpoint, now, event.key)
@@ -76,7 +76,7 @@ class Leasing:
             return EVALUATOR
         if claim.pid is not None:
             return self._pid_by_number.get(claim.pid, claim.pid)
-        held = table.left_by(claim.instance, event.key, event.peer, self._clock.now)
+        held = table.held_before_by(claim.instance, event.key, event.peer, self._clock.now)
         return held or table.next_free(self._clock.now)
 
     def _grant(self, event: Received, claim: Claim, lease: Lease) -> list[Action]:

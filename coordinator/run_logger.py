@@ -5,9 +5,8 @@ from __future__ import annotations
 from collections.abc import Iterator
 from contextlib import contextmanager
 
-from coordinator.events import Action, Finish, RecordEvaluation
-from coordinator.events import Tell as TellAction
-from coordinator.kept_policy import export_best
+from coordinator.best_policy import export_best
+from coordinator.events import Action, Finish, LogEvent, RecordEvaluation
 from coordinator.scalars import evaluation_scalars, learner_scalars
 from coordinator.snapshot import summary
 from coordinator.state import CoordinatorState
@@ -15,13 +14,13 @@ from t4nmtd_dist.core.errors import RunError
 from t4nmtd_dist.runs.directory import RunDirectory
 from t4nmtd_dist.runs.event_files import TensorBoard, open_event_files
 from t4nmtd_dist.wire.messages import EvaluationRow
-from t4nmtd_dist.wire.rate_limited_log import Notices, Tell
+from t4nmtd_dist.wire.rate_limited_log import Log, RateLimitedLog
 from t4nmtd_dist.wire.statistics import by_name
 
 METRICS_EVERY_S = 5.0
 
 
-class Recorder:
+class RunLogger:
     """Keeps events, metrics, the summary and the policy of a run.
 
     Args:
@@ -35,10 +34,10 @@ class Recorder:
     """
 
     def __init__(
-        self, state: CoordinatorState, run: RunDirectory, tensorboard: TensorBoard = "off", tell: Tell = print
+        self, state: CoordinatorState, run: RunDirectory, tensorboard: TensorBoard = "off", tell: Log = print
     ) -> None:
         self._state, self._run = state, run
-        self._notices = Notices(tell)
+        self._notices = RateLimitedLog(tell)
         self._result_due = False
         self._event_files = open_event_files(run.path / "tensorboard", tensorboard, state.interactions)
         self._metrics_due = 0.0
@@ -48,7 +47,7 @@ class Recorder:
     def record(self, action: Action) -> None:
         """Write one action down, if it is of that kind."""
         with self._telling():
-            if isinstance(action, TellAction):
+            if isinstance(action, LogEvent):
                 self._run.log_event(action.elapsed_s, action.text)
             elif isinstance(action, RecordEvaluation):
                 self._evaluation(action.row)
@@ -62,7 +61,7 @@ class Recorder:
         try:
             yield
         except OSError as error:
-            self._notices.once(f"cannot write to {self._run.path}: {error.strerror or error}; going on without")
+            self._notices.log(f"cannot write to {self._run.path}: {error.strerror or error}; going on without")
 
     def _evaluation(self, row: EvaluationRow) -> None:
         self._run.append_metrics(

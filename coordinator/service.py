@@ -7,15 +7,16 @@ import threading
 import time
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
+from dataclasses import dataclass
 from pathlib import Path
 from queue import SimpleQueue
 
-from coordinator.checkpointing import StateKeeper, go_on
-from coordinator.endpoints import Access, Doors
-from coordinator.events import Action, Event, Finish, Interrupted, KeysChanged, Noticed, Received, Send, Tick
-from coordinator.finishing import patience, write_result
-from coordinator.mishaps import Mishaps
-from coordinator.run_logger import Recorder
+from coordinator.checkpointing import StateCheckpointing, resume_state
+from coordinator.endpoints import Access, BoundSockets
+from coordinator.error_boundary import ErrorBoundary
+from coordinator.events import Action, Event, Finish, Interrupted, KeysChanged, LogRequest, Received, Send, Tick
+from coordinator.finishing import retry_pauses, write_result
+from coordinator.run_logger import RunLogger
 from coordinator.snapshot import dashboard_state, status
 from coordinator.state import CoordinatorState
 from coordinator.worker_commands import WorkerCommands
@@ -35,18 +36,33 @@ HURRIED_FAREWELL_S = 4.0
 LONGEST_FAREWELL_S = 12.0  # a learner hears of the end after a turn, which may take long; `t4nmtd train` waits 15 s
 
 
-class CoordinatorService:
-    """Listens, feeds the state machine, carries out its actions, and publishes its state.
+@dataclass(frozen=True)
+class RunStorage:
+    """Where a run is kept, and how.
 
-    Args:
-        state: the state machine.
+    Attributes:
         directory: the run directory; made only once the endpoints are taken.
-        access: where workers are heard, where the state is published, and for whom.
         restart: delete a run that the directory holds.
-        resume: go on with the run that the directory holds; ``state`` must be fresh and of that run.
+        resume: go on with the run that the directory holds.
         checkpoint_every_s: seconds between two checkpoints.
         tensorboard: whether to write event files for TensorBoard, too.
-        by_hand: whether people start the workers, who want to be told the commands.
+    """
+
+    directory: Path
+    restart: bool = False
+    resume: bool = False
+    checkpoint_every_s: float = CHECKPOINT_EVERY_S
+    tensorboard: TensorBoard = "off"
+
+
+class CoordinatorService:
+    """Receives messages, feeds the state machine, carries out its actions, and publishes its state.
+
+    Args:
+        state: the state machine; for a resume a fresh one of the run that the directory holds.
+        storage: where the run is kept.
+        access: where workers connect, where the state is published, and for whom.
+        by_hand: whether people start the workers, and need the commands.
 
     Raises:
         ConfigError: if an endpoint cannot be used.
@@ -54,49 +70,43 @@ class CoordinatorService:
         RunError: if the run directory cannot be used.
     """
 
-    def __init__(
-        self,
-        state: CoordinatorState,
-        directory: Path,
-        access: Access,
-        *,
-        restart: bool = False,
-        resume: bool = False,
-        checkpoint_every_s: float = CHECKPOINT_EVERY_S,
-        tensorboard: TensorBoard = "off",
-        by_hand: bool = False,
-    ) -> None:
+    def __init__(self, state: CoordinatorState, storage: RunStorage, access: Access, *, by_hand: bool = False) -> None:
         self.state = state
         with ExitStack() as undo:
-            self._doors = Doors(access)
-            undo.callback(self._doors.close)
-            run = RunDirectory(directory, restart=restart, resume=resume)
-            run.lock()
+            self._sockets = BoundSockets(access)
+            undo.callback(self._sockets.close)
+            self._run = RunDirectory(storage.directory, restart=storage.restart, resume=storage.resume)
+            self._run.lock()
             undo.pop_all()
-        self.control, self.publish = self._doors.control, self._doors.publish
-        self.own_keys = self._doors.own_keys
+        self.control, self.publish = self._sockets.control, self._sockets.publish
+        self.own_keys = self._sockets.own_keys
         pids = state.task.decomposition.pids
         self.commands = WorkerCommands(pids, self.control, access.keys) if by_hand else None
-        self._run = run
-        self._said: SimpleQueue[str] = SimpleQueue()
-        self._mishaps = Mishaps(self._said.put)
-        resumed = self._go_on() if resume else ""
-        write_identity(run.path, Identity(state.settings.run_id, serial=False))
-        self._keeper = StateKeeper(state, run.checkpoints, checkpoint_every_s, self._said.put)
-        self._recorder = Recorder(state, run, tensorboard, self._said.put)
-        run.write_endpoints(self.control, self.publish)
+        self._lines: SimpleQueue[str] = SimpleQueue()
+        self._errors = ErrorBoundary(self._lines.put)
         self._publish_due = 0.0
         self._interrupt: str | None = None
         self._over = threading.Event()
         self._impatient = False
-        if resumed:
-            self._feed(Noticed(time.monotonic(), resumed))
+        self._open_run(storage)
 
-    def _go_on(self) -> str:
+    def _open_run(self, storage: RunStorage) -> None:
+        """Load what a resumed run has kept, and begin to write."""
+        resumed = self._resume() if storage.resume else ""
+        write_identity(self._run.path, Identity(self.state.settings.run_id, serial=False))
+        self._checkpointing = StateCheckpointing(
+            self.state, self._run.checkpoints, storage.checkpoint_every_s, self._lines.put
+        )
+        self._logger = RunLogger(self.state, self._run, storage.tensorboard, self._lines.put)
+        self._run.write_endpoints(self.control, self.publish)
+        if resumed:
+            self._feed(LogRequest(time.monotonic(), resumed))
+
+    def _resume(self) -> str:
         """Load what the run has kept; what that was, in words."""
-        told = go_on(self.state, self._run.checkpoints, self._said.put)
+        resumed = resume_state(self.state, self._run.checkpoints, self._lines.put)
         self._run.mend(self.state.elapsed_s)
-        return told
+        return resumed
 
     def interrupt(self, reason: str) -> None:
         """Ask the loop to end the run; callable from a signal handler or another thread."""
@@ -105,112 +115,112 @@ class CoordinatorService:
             self._impatient = True
 
     def serve(self) -> None:
-        """Run until the state machine finishes, then tell latecomers for a moment that it is over."""
+        """Run until the state machine finishes; for a moment longer, answer everyone that the run is over."""
         if self.state.outcome is not None:  # solved before the resume, and not written down
-            self._recorder.record(Finish(self.state.outcome, "before it was resumed"))
+            self._logger.record(Finish(self.state.outcome, "before it was resumed"))
             self._over.set()
         try:
             while not self._over.is_set():
                 self._turn()
             self._say_farewell()
         finally:
-            self._doors.close()
+            self._sockets.close()
             self._run.unlock()
 
     def _say_farewell(self) -> None:
-        """Tell all that it is over, hear what learners have done until they heard of it, and write everything down."""
+        """Tell everyone that the run is over, take the learners' last reports, and write the result."""
         began = time.monotonic()
         while time.monotonic() < began + self._farewell_s():
             self._turn()
-        self._tell_of_unheard()
-        pause = patience(self._turn, lambda: self._impatient)
+        self._report_missing()
+        pause = retry_pauses(self._turn, lambda: self._impatient)
         try:
-            with self._mishaps.survived("writing the result") as mishap:
-                write_result(self._recorder, self._keeper, self._say, pause)
+            with self._errors.guard("writing the result") as caught:
+                write_result(self._logger, self._checkpointing, self._say, pause)
         finally:
-            self._hear_keeper()
-        if mishap:
+            self._log_lines()
+        if caught:
             raise RunError(
                 f"the result could not be written; go on from the last checkpoint by --resume {self._run.path}"
             )
 
     def _say(self, text: str) -> None:
-        self._feed(Noticed(time.monotonic(), text))
+        self._feed(LogRequest(time.monotonic(), text))
         print(f"t4nmtd-coordinator: {text}", file=sys.stderr, flush=True)
 
-    def _hear_keeper(self) -> None:
-        while not self._said.empty():
-            self._feed(Noticed(time.monotonic(), self._said.get()))
+    def _log_lines(self) -> None:
+        while not self._lines.empty():
+            self._feed(LogRequest(time.monotonic(), self._lines.get()))
 
     def _farewell_s(self) -> float:
-        """How long to wait for last words: as long as learners are at work, if nobody is in a hurry."""
+        """Seconds to wait for last reports: longer while learners are at work, unless the user is in a hurry."""
         if not self.state.leases.holders(time.monotonic()):
             return FAREWELL_S
         return HURRIED_FAREWELL_S if self._impatient else LONGEST_FAREWELL_S
 
-    def _tell_of_unheard(self) -> None:
-        unheard = [lease.place for lease in self.state.leases.all() if not lease.released]
-        if unheard:
+    def _report_missing(self) -> None:
+        missing = [lease.place for lease in self.state.leases.all() if not lease.released]
+        if missing:
             self._say(
-                f"no last word of {', '.join(unheard)}: what was done there since the last report is not counted "
+                f"no last word of {', '.join(missing)}: what was done there since the last report is not counted "
                 "here; a resume counts what its checkpoint holds"
             )
 
     def _turn(self) -> None:
-        messages, subscriptions = self._doors.wait(TICK_S)
+        messages, subscriptions = self._sockets.wait(TICK_S)
         self._check_keys()
         if messages:
-            for arrival in self._doors.arrivals():
+            for arrival in self._sockets.arrivals():
                 self._take(arrival)
-        if subscriptions and self._doors.subscribed():
+        if subscriptions and self._sockets.subscribed():
             self._publish_due = 0.0
         if self._interrupt is not None:
             self._feed(Interrupted(time.monotonic(), self._interrupt))
             self._interrupt = None
         self._feed(Tick(time.monotonic()))
-        with self._mishaps.survived("publishing the state"):
+        with self._errors.guard("publishing the state"):
             self._publish_state()
         if not self._over.is_set():
             self._write_down()
 
     def _write_down(self) -> None:
-        with self._mishaps.survived("recording metrics"):
-            self._recorder.metrics()
-        with self._mishaps.survived("keeping a checkpoint"):
-            self._keeper.turn()
-        self._hear_keeper()
+        with self._errors.guard("recording metrics"):
+            self._logger.metrics()
+        with self._errors.guard("keeping a checkpoint"):
+            self._checkpointing.turn()
+        self._log_lines()
 
     def _check_keys(self) -> None:
-        allowed = self._doors.changed_keys()
+        allowed = self._sockets.changed_keys()
         if allowed is not None:
             self._feed(KeysChanged(time.monotonic(), allowed))
-        for text in self._doors.notices():
-            self._feed(Noticed(time.monotonic(), text))
+        for text in self._sockets.notices():
+            self._feed(LogRequest(time.monotonic(), text))
 
     def _take(self, arrival: Arrival) -> None:
         peer, content = arrival.peer, arrival.content
         if isinstance(content, ProtocolError):
-            self._doors.answer(peer, Envelope(Failure(text=shortened(str(content)))))
+            self._sockets.answer(peer, Envelope(Failure(text=shortened(str(content)))))
             return
         with self._answered(peer, content):
             if isinstance(content.message, StatusRequest):
-                told = status(self.state, time.time(), self.commands)
-                self._doors.answer(peer, Envelope(told, {}, "coordinator", content.id))
+                answer = status(self.state, time.time(), self.commands)
+                self._sockets.answer(peer, Envelope(answer, {}, "coordinator", content.id))
             else:
                 self._follow(Received(time.monotonic(), peer, content, arrival.key))
 
     @contextmanager
     def _answered(self, peer: bytes, question: Envelope) -> Iterator[None]:
-        """If taking a message fails, say so and tell its sender: it must not wait, and others must be heard."""
+        """If handling a message fails, log it and answer its sender, then go on with the others."""
         what = f"taking {type(question.message).__name__} of {question.sender or 'a client'}"
-        with self._mishaps.survived(what) as mishap:
+        with self._errors.guard(what) as caught:
             yield
-        if mishap:
+        if caught:
             text = f"the coordinator failed at {what}; its log says why"
-            self._doors.answer(peer, Envelope(Failure(text=shortened(text)), {}, "coordinator", question.id))
+            self._sockets.answer(peer, Envelope(Failure(text=shortened(text)), {}, "coordinator", question.id))
 
     def _feed(self, event: Event) -> None:
-        with self._mishaps.survived(f"following {type(event).__name__}"):
+        with self._errors.guard(f"following {type(event).__name__}"):
             self._follow(event)
 
     def _follow(self, event: Event) -> None:
@@ -220,17 +230,17 @@ class CoordinatorService:
     def _carry_out(self, action: Action) -> None:
         if isinstance(action, Send):
             envelope = Envelope(action.message, action.arrays, "coordinator", action.answers)
-            self._doors.answer(action.peer, envelope)
+            self._sockets.answer(action.peer, envelope)
             return
         if isinstance(action, Finish):
             self._publish_due = 0.0
             self._over.set()
-        with self._mishaps.survived("recording"):
-            self._recorder.record(action)
+        with self._errors.guard("recording"):
+            self._logger.record(action)
 
     def _publish_state(self) -> None:
         now = time.monotonic()
         if now < self._publish_due:
             return
         self._publish_due = now + PUBLISH_S
-        self._doors.broadcast(Envelope(dashboard_state(self.state, self.commands), {}, "coordinator"))
+        self._sockets.broadcast(Envelope(dashboard_state(self.state, self.commands), {}, "coordinator"))

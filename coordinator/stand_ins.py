@@ -25,7 +25,7 @@ class StandIns:
         (self._place,) = table.places
         self.epoch = 0
         self._alone_since: float | None = None
-        self._told = False
+        self._logged = False
 
     def evaluator(self, now: float) -> Lease | None:
         """The live lease of an evaluator that is not a stand-in."""
@@ -35,19 +35,19 @@ class StandIns:
     def wanted(self, now: float) -> bool:
         """Whether to invite a stand-in now; to be asked whenever a learner of a training run is heard."""
         if self.evaluator(now) is not None:
-            self._alone_since, self._told = None, False
+            self._alone_since, self._logged = None, False
             return False
         if self._alone_since is None:
             self._alone_since = now
         return not self._table.live(self._place, now) and now - self._alone_since >= STAND_IN_AFTER_S
 
     def begin(self, lease: Lease) -> str:
-        """Note a stand-in's lease; what to tell of it: only the first without an evaluator is news."""
+        """Note a stand-in's lease; the line to log: only the first without an evaluator is news."""
         self.epoch = lease.epoch
-        told, self._told = self._told, True
-        return "" if told else "no evaluator: the learners' workers evaluate between their turns"
+        logged, self._logged = self._logged, True
+        return "" if logged else "no evaluator: the learners' workers evaluate between their turns"
 
-    def give_way(self) -> None:
+    def yield_to_evaluator(self) -> None:
         """End a stand-in's lease, for an evaluator that claims the place."""
         if self._is_stand_in(self._table.get(self._place)):
             self._table.end(self._place)

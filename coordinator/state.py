@@ -9,7 +9,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from coordinator.bulletin import Bulletin
 from coordinator.checks import finite_figures
 from coordinator.evaluator_duty import EvaluatorDuty
 from coordinator.event_log import EVENTS_KEPT, EventLog, RunClock
@@ -19,7 +18,7 @@ from coordinator.events import (
     Finish,
     Interrupted,
     KeysChanged,
-    Noticed,
+    LogRequest,
     Outcome,
     Received,
     RecordEvaluation,
@@ -36,8 +35,9 @@ from coordinator.invariants import (
 )
 from coordinator.learner_registry import LearnerRecord, interactions, processor_s
 from coordinator.leasing import Leasing
+from coordinator.notice_filter import NoticeFilter
 from coordinator.run_settings import RunSettings
-from coordinator.stuck import StuckWatch
+from coordinator.stuck import StuckDetector
 from t4nmtd_dist.core.errors import ProtocolError
 from t4nmtd_dist.core.invariants import Monotone, require
 from t4nmtd_dist.method.compiled import CompiledTask
@@ -93,7 +93,7 @@ class CoordinatorState:
         self.stand_ins = self._leasing.stand_ins
         self._evaluator = EvaluatorDuty(task, self.records, self.method, self._leasing, self.clock)
         self.evaluations = self._evaluator.schedule
-        self._bulletin, self._stuck, self._intake = Bulletin(), StuckWatch(), Intake(task)
+        self._bulletin, self._stuck, self._intake = NoticeFilter(), StuckDetector(), Intake(task)
         self.snapshot: NDArray[Any] | None = None
         self.outcome: Outcome | None = None
         self._growing = Monotone()
@@ -136,7 +136,7 @@ class CoordinatorState:
             return self._finish("stopped", event.reason)
         if isinstance(event, KeysChanged):
             return self._leasing.end_revoked(event.allowed)
-        if isinstance(event, Noticed):
+        if isinstance(event, LogRequest):
             return [self._log.add(event.text)]
         return self._leasing.report_lost()
 
@@ -181,7 +181,7 @@ class CoordinatorState:
             return self._leasing.refuse_stale(event, sync)
         actions = self._accept(sync, event.envelope.arrays)
         actions += self._leasing.report_back(sync.pid)
-        hints = self._stuck.news(sync.pid, self.records, self.task, self.elapsed_s)
+        hints = self._stuck.due_lines(sync.pid, self.records, self.task, self.elapsed_s)
         actions += [self._log.add(line) for line in hints]
         actions.append(self._reply(event, sync))
         if self.interactions >= self.settings.max_interactions:

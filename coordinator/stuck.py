@@ -13,8 +13,8 @@ MANY_ATTEMPTS = 2000
 MANY_INTERACTIONS = 20_000
 RARE = 0.01  # of all attempts
 RARE_LATELY = 0.05  # of the recent ones
-LOOK_EVERY_S, TELL_EVERY_S = 2.0, 600.0
-GIVERS_NAMED = 4
+LOOK_EVERY_S, REPORT_EVERY_S = 2.0, 600.0
+PREDECESSORS_NAMED = 4
 
 Records = Mapping[str, LearnerRecord]
 
@@ -50,9 +50,11 @@ def _interactions(records: Records) -> int:
 
 def _waiting(pid: str, records: Records, task: CompiledTask) -> list[str]:
     subtasks, available = task.decomposition.subtasks, task.decomposition.available
-    givers = [each for each, taus in subtasks.items() if each != pid and any(pid in available(to) for _, to in taus)]
-    named = [_tally(each, records[each].total) for each in givers[:GIVERS_NAMED]]
-    more = f" and {len(givers) - GIVERS_NAMED} more" if len(givers) > GIVERS_NAMED else ""
+    predecessors = [
+        each for each, taus in subtasks.items() if each != pid and any(pid in available(to) for _, to in taus)
+    ]
+    named = [_successes(each, records[each].total) for each in predecessors[:PREDECESSORS_NAMED]]
+    more = f" and {len(predecessors) - PREDECESSORS_NAMED} more" if len(predecessors) > PREDECESSORS_NAMED else ""
     spent = f"{_interactions(records):,} interactions of all learners"
     return [
         f"no start state has come in {spent}, so it has made no attempt",
@@ -60,7 +62,7 @@ def _waiting(pid: str, records: Records, task: CompiledTask) -> list[str]:
     ]
 
 
-def _tally(pid: str, stats: LearnerStats) -> str:
+def _successes(pid: str, stats: LearnerStats) -> str:
     return f"{pid} ({stats.successes:,} of {stats.attempts:,} attempts)"
 
 
@@ -115,13 +117,13 @@ def _advice(stats: LearnerStats, task: CompiledTask) -> list[str]:
     return [f"likely causes: {cause}{rare}", f"try: {cure}"]
 
 
-class StuckWatch:
-    """When the event log is told of stuck learners: once each, and again every ten minutes."""
+class StuckDetector:
+    """Reports each stuck learner to the event log at once, and again every ten minutes."""
 
     def __init__(self) -> None:
         self._look_at: dict[str, float] = {}
 
-    def news(self, pid: str, records: Records, task: CompiledTask, elapsed_s: float) -> list[str]:
+    def due_lines(self, pid: str, records: Records, task: CompiledTask, elapsed_s: float) -> list[str]:
         """Lines that are due about a learner.
 
         Args:
@@ -133,5 +135,5 @@ class StuckWatch:
         if elapsed_s < self._look_at.get(pid, 0.0):
             return []
         lines = stuck_lines(pid, records, task)
-        self._look_at[pid] = elapsed_s + (TELL_EVERY_S if lines else LOOK_EVERY_S)
+        self._look_at[pid] = elapsed_s + (REPORT_EVERY_S if lines else LOOK_EVERY_S)
         return lines

@@ -7,7 +7,7 @@ from typing import Any
 import pytest
 from coordinator_events import Conversation, of, weights
 
-from coordinator.events import Finish, RecordEvaluation, Send, Tell
+from coordinator.events import Finish, LogEvent, RecordEvaluation, Send
 from coordinator.snapshot import summary
 from t4nmtd_dist.wire.messages import (
     Claim,
@@ -315,5 +315,5 @@ def test_the_summary_has_both_counts_and_the_policy_that_is_kept() -> None:
     told = summary(talk.state)
     assert (told["interactions"], told["interactions_total"]) == (400, 800)
     assert "solved: after 400 interactions (the first of 5 evaluations in a row), 800 in all" in [
-        tell.text for tell in of(Tell, actions)
+        tell.text for tell in of(LogEvent, actions)
     ]

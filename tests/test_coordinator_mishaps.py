@@ -18,11 +18,11 @@ from hypothesis import strategies as st
 from small_tasks import small_task
 from test_sockets import DEADLINE_S, FREE_PORT, Running, answer, tell
 
-from coordinator.checkpointing import StateKeeper, go_on
+from coordinator.checkpointing import StateCheckpointing, resume_state
 from coordinator.endpoints import Access
-from coordinator.run_logger import Recorder
+from coordinator.run_logger import RunLogger
 from coordinator.run_settings import RunSettings
-from coordinator.service import CoordinatorService
+from coordinator.service import CoordinatorService, RunStorage
 from coordinator.snapshot import dashboard_state, status, summary
 from coordinator.state import CoordinatorState
 from coordinator.ui.viewer import watch
@@ -68,7 +68,7 @@ def running(tmp_path: Path, context: Context, monkeypatch: pytest.MonkeyPatch) -
     monkeypatch.setattr("coordinator.service.FAREWELL_S", 0.0)
     monkeypatch.setattr("coordinator.service.LONGEST_FAREWELL_S", 4.0)  # nobody here says a last word
     state = CoordinatorState(small_task(), RunSettings(seed=0, max_interactions=10**9))
-    service = CoordinatorService(state, tmp_path / "run", Access(FREE_PORT, FREE_PORT), tensorboard="auto")
+    service = CoordinatorService(state, RunStorage(tmp_path / "run", tensorboard="auto"), Access(FREE_PORT, FREE_PORT))
 
     def serve() -> None:
         with suppress(RunError):  # of a result that a broken part keeps from being written
@@ -87,11 +87,11 @@ def can_be_shown_and_kept(state: CoordinatorState, folder: Path) -> None:
     for shown in (dashboard_state(state), status(state, 1.0)):
         assert decode(encode(Envelope(shown))).message == shown
     json.dumps(summary(state), allow_nan=False)
-    keeper = StateKeeper(state, folder, 300.0, print)
+    keeper = StateCheckpointing(state, folder, 300.0, print)
     keeper.turn()
     keeper.finish()
     again = CoordinatorState(state.task, state.settings)
-    go_on(again, folder, print)
+    resume_state(again, folder, print)
     assert again.interactions == state.interactions
     assert (
         dashboard_state(again).learners[0].total.interactions == dashboard_state(state).learners[0].total.interactions
@@ -200,9 +200,9 @@ def mishaps(running: Running) -> list[str]:
 
 PARTS = {
     "coordinator.service.dashboard_state": "publishing the state",
-    "coordinator.run_logger.Recorder.metrics": "recording metrics",
-    "coordinator.run_logger.Recorder.record": "recording",
-    "coordinator.checkpointing.StateKeeper.turn": "keeping a checkpoint",
+    "coordinator.run_logger.RunLogger.metrics": "recording metrics",
+    "coordinator.run_logger.RunLogger.record": "recording",
+    "coordinator.checkpointing.StateCheckpointing.turn": "keeping a checkpoint",
     "coordinator.leasing.Leasing.report_lost": "following Tick",
 }
 
@@ -269,9 +269,9 @@ def test_a_recorder_that_fails_at_the_end_leaves_a_checkpoint(
 ) -> None:
     monkeypatch.setattr("coordinator.service.FAREWELL_S", 0.0)
     monkeypatch.setattr("coordinator.service.LONGEST_FAREWELL_S", 4.0)  # nobody here says a last word
-    monkeypatch.setattr(Recorder, "close", raises)
+    monkeypatch.setattr(RunLogger, "close", raises)
     state = CoordinatorState(small_task(), RunSettings(seed=0, max_interactions=10**9))
-    service = CoordinatorService(state, tmp_path / "run", Access(FREE_PORT, FREE_PORT))
+    service = CoordinatorService(state, RunStorage(tmp_path / "run"), Access(FREE_PORT, FREE_PORT))
     service.interrupt("at once")
     with pytest.raises(RunError, match=r"the result could not be written; .* --resume .*run"):
         service.serve()

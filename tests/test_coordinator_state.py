@@ -10,7 +10,7 @@ from coordinator_events import Conversation, changes, of, starts, weights
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from coordinator.events import Finish, Interrupted, Send, Tell
+from coordinator.events import Finish, Interrupted, LogEvent, Send
 from t4nmtd_dist.wire.codec import Envelope, decode, encode
 from t4nmtd_dist.wire.messages import (
     Failure,
@@ -118,7 +118,7 @@ def test_a_lease_given_back_is_free_at_once_and_not_called_lost() -> None:
     assert talk.claim("g", "new").epoch == 2
     talk.send("new", Release(pid="g", epoch=2))
     talk.now = 100.0
-    assert of(Tell, talk.tick()) == []
+    assert of(LogEvent, talk.tick()) == []
 
 
 def test_only_the_holder_can_give_a_lease_back() -> None:
@@ -135,7 +135,7 @@ def test_a_silent_learner_is_called_lost_once() -> None:
     talk.now = 9.0
     assert talk.tick() == []
     talk.now = 11.0
-    (told,) = of(Tell, talk.tick())
+    (told,) = of(LogEvent, talk.tick())
     assert "g lost" in told.text
     assert talk.tick() == []
 

@@ -18,7 +18,7 @@ from rich.console import Console
 from coordinator.ui import dashboard
 from coordinator.ui.dashboard import LiveDashboard, export_svg, plain_line, render
 from coordinator.ui.tables import q_rows
-from coordinator.ui.terminal import PatientFile
+from coordinator.ui.terminal import NonBlockingFile
 from coordinator.ui.text import curve, duration, resample
 from t4nmtd_dist.wire.messages import (
     DashboardState,
@@ -448,7 +448,7 @@ def test_terminal_that_stops_reading_delays_nobody(monkeypatch: pytest.MonkeyPat
         with LiveDashboard(console, plain=False, clock=lambda: float(next(ticks))) as board:
             for step in range(40):
                 assert board.show(make_state(elapsed_s=float(step)))
-            assert isinstance(console.file, PatientFile)
+            assert isinstance(console.file, NonBlockingFile)
             assert console.file.pending
             while console.file.pending:
                 os.read(reader, 65536)

@@ -15,7 +15,7 @@ from small_tasks import small_task
 
 from coordinator.endpoints import Access
 from coordinator.run_settings import RunSettings
-from coordinator.service import CoordinatorService
+from coordinator.service import CoordinatorService, RunStorage
 from coordinator.state import CoordinatorState
 from t4nmtd_dist.cli import doctor
 from t4nmtd_dist.cli.doctor import Finding, examine, findings
@@ -39,7 +39,7 @@ def keys(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 def serve(folder: Path, keys: Path | None) -> Iterator[CoordinatorService]:
     state = CoordinatorState(small_task(), RunSettings(seed=0, max_interactions=1000))
-    service = CoordinatorService(state, folder, Access(FREE_PORT, FREE_PORT, keys))
+    service = CoordinatorService(state, RunStorage(folder), Access(FREE_PORT, FREE_PORT, keys))
     thread = threading.Thread(target=service.serve, daemon=True)
     thread.start()
     yield service

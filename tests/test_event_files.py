@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
 
 from coordinator.events import RecordEvaluation
-from coordinator.run_logger import Recorder
+from coordinator.run_logger import RunLogger
 from t4nmtd_dist.core.errors import ConfigError
 from t4nmtd_dist.runs import event_files
 from t4nmtd_dist.runs.directory import RunDirectory
@@ -72,7 +72,7 @@ def test_a_coordinator_draws_its_evaluations_and_every_learner(tmp_path: Path) -
     peers = Intervention(asked=10, answered=8, own_used=2, lag_total=4)
     stats = LearnerStats(interactions=640, recent_success=0.25, entropy=1.5, value_loss=0.5, intervention=peers)
     talk.send("w", talk.sync_message("p1", "w", stats=stats))
-    recorder = Recorder(talk.state, RunDirectory(tmp_path / "run"), "on")
+    recorder = RunLogger(talk.state, RunDirectory(tmp_path / "run"), "on")
     recorder.record(RecordEvaluation(ROW))
     recorder.metrics()
     written = tmp_path / "run" / "tensorboard"

@@ -20,9 +20,9 @@ from processes import Processes, endpoints
 from small_tasks import START, small_learner, small_task
 from test_coordinator_evaluations import Evaluated
 
-from coordinator.checkpointing import go_on
+from coordinator.checkpointing import resume_state
 from coordinator.events import Interrupted
-from coordinator.run_logger import Recorder
+from coordinator.run_logger import RunLogger
 from coordinator.saved_state import saved_state
 from t4nmtd_dist import policy
 from t4nmtd_dist.core.errors import PolicyError
@@ -131,7 +131,7 @@ def talk() -> Learned:
 
 def test_every_improvement_is_exported_during_training(talk: Learned, tmp_path: Path) -> None:
     run = RunDirectory(tmp_path / "run")
-    recorder = Recorder(talk.state, run)
+    recorder = RunLogger(talk.state, run)
     exported = []
     for success, mode in ((0.2, "greedy"), (0.1, "greedy"), (0.6, "sampled"), (0.6, "greedy"), (0.5, "sampled")):
         for action in talk.evaluate(success, actions=mode):
@@ -146,7 +146,7 @@ def test_every_improvement_is_exported_during_training(talk: Learned, tmp_path: 
 
 def test_the_best_policy_is_exported_at_the_end(talk: Learned, tmp_path: Path) -> None:
     run = RunDirectory(tmp_path / "run")
-    recorder = Recorder(talk.state, run)
+    recorder = RunLogger(talk.state, run)
     for success in (0.5, 0.2):
         for action in talk.evaluate(success):
             recorder.record(action)
@@ -162,20 +162,20 @@ def test_a_resumed_run_keeps_a_better_policy_that_was_exported_after_its_checkpo
     talk: Learned, tmp_path: Path
 ) -> None:
     run = RunDirectory(tmp_path / "run")
-    recorder = Recorder(talk.state, run)
+    recorder = RunLogger(talk.state, run)
     for success, mode in ((0.5, "greedy"), (0.9, "sampled")):
         for action in talk.evaluate(success, actions=mode):
             recorder.record(action)
     best = talk.state.evaluations.best
     assert best is not None
     resumed = Learned("evaluation.actions=best")
-    go_on(resumed.state, run.checkpoints, pytest.fail)
+    resume_state(resumed.state, run.checkpoints, pytest.fail)
     found = resumed.state.evaluations.best
     assert found is not None
     assert found.row == best.row
     assert found.snapshot.versions == best.snapshot.versions
     assert found.snapshot.q_table == best.snapshot.q_table
-    recorder = Recorder(resumed.state, run)
+    recorder = RunLogger(resumed.state, run)
     for success in (0.8, 0.95):
         for action in resumed.evaluate(success):
             recorder.record(action)
@@ -186,7 +186,7 @@ def test_a_resumed_run_keeps_a_better_policy_that_was_exported_after_its_checkpo
 @pytest.mark.parametrize("half", [False, True], ids=["both whole", "the new one half written"])
 def test_a_kill_between_the_renames_of_an_export_loses_no_policy(half: bool, talk: Learned, tmp_path: Path) -> None:
     run = RunDirectory(tmp_path / "run")
-    recorder = Recorder(talk.state, run)
+    recorder = RunLogger(talk.state, run)
     for success in (0.5, 0.9):
         for action in talk.evaluate(success):
             recorder.record(action)
@@ -199,7 +199,7 @@ def test_a_kill_between_the_renames_of_an_export_loses_no_policy(half: bool, tal
     if half:
         (run.path / "policy.new" / POLICY_FILE).write_text("{", encoding="utf-8")
     resumed = Learned("evaluation.actions=best")
-    go_on(resumed.state, run.checkpoints, pytest.fail)
+    resume_state(resumed.state, run.checkpoints, pytest.fail)
     found = resumed.state.evaluations.best
     assert found is not None
     assert found.row.success_rate == (0.5 if half else 0.9)
@@ -208,13 +208,13 @@ def test_a_kill_between_the_renames_of_an_export_loses_no_policy(half: bool, tal
 
 def test_a_worse_exported_policy_does_not_replace_that_of_the_checkpoint(talk: Learned, tmp_path: Path) -> None:
     run = RunDirectory(tmp_path / "run")
-    recorder = Recorder(talk.state, run)
+    recorder = RunLogger(talk.state, run)
     for action in talk.evaluate(0.5):
         recorder.record(action)
     talk.evaluate(0.9)
     write_checkpoint(run.checkpoints / "coordinator", {"run_id": "", "place": "coordinator"}, saved_state(talk.state))
     resumed = Learned("evaluation.actions=best")
-    go_on(resumed.state, run.checkpoints, pytest.fail)
+    resume_state(resumed.state, run.checkpoints, pytest.fail)
     found = resumed.state.evaluations.best
     assert found is not None
     assert found.row.success_rate == 0.9
@@ -225,13 +225,13 @@ def test_an_exported_policy_that_cannot_be_read_is_told_of_and_not_kept(
     damage: str, talk: Learned, tmp_path: Path
 ) -> None:
     run = RunDirectory(tmp_path / "run")
-    recorder = Recorder(talk.state, run)
+    recorder = RunLogger(talk.state, run)
     for action in talk.evaluate(0.5):
         recorder.record(action)
     (run.path / "policy" / POLICY_FILE).write_text(damage, encoding="utf-8")
     told: list[str] = []
     resumed = Learned()
-    go_on(resumed.state, run.checkpoints, told.append)
+    resume_state(resumed.state, run.checkpoints, told.append)
     assert resumed.state.evaluations.best is None
     (line,) = told
     assert str(run.path / "policy") in line

@@ -17,7 +17,7 @@ from t4nmtd_dist.wire.codec import MAX_MESSAGE_BYTES, Envelope
 from t4nmtd_dist.wire.connection_guard import ConnectionGuard
 from t4nmtd_dist.wire.limits import CONTROL_LIMITS, Limits
 from t4nmtd_dist.wire.messages import DashboardState, Release
-from t4nmtd_dist.wire.secure_receiver import Gate
+from t4nmtd_dist.wire.secure_receiver import SecureReceiver
 from t4nmtd_dist.wire.sockets import bind, bound_endpoint, connect, receive, send, subscribe
 from t4nmtd_dist.wire.status_client import ask_status
 from t4nmtd_dist.wire.zmq_types import Context, new_context
@@ -124,7 +124,7 @@ def test_a_large_message_of_an_honest_sender_arrives_whole_while_the_limit_is_ne
     limits = Limits(frame_bytes=4 * MIB, messages_per_s=1e6, bytes_per_s=1e12, unread_bytes=5 * MIB)
     router, told = bind(context, zmq.ROUTER, "tcp://127.0.0.1:*"), list[str]()
     guard = ConnectionGuard(router, limits, told.append)
-    gate = Gate(router, limits, None, told.append, guard)
+    gate = SecureReceiver(router, limits, None, told.append, guard)
     dealer = connect(context, bound_endpoint(router))
     try:
         assert dealer.poll(int(DEADLINE_S * 1000), zmq.POLLOUT)
@@ -178,7 +178,7 @@ def test_no_more_connections_than_allowed_are_kept(context: Context) -> None:
 def test_learners_that_send_large_weights_at_the_same_time_are_not_ended(context: Context) -> None:
     router, told = bind(context, zmq.ROUTER, "tcp://127.0.0.1:*"), list[str]()
     guard = ConnectionGuard(router, CONTROL_LIMITS, told.append)
-    gate = Gate(router, CONTROL_LIMITS, None, told.append, guard)
+    gate = SecureReceiver(router, CONTROL_LIMITS, None, told.append, guard)
     dealers = [connect(context, bound_endpoint(router)) for _ in range(8)]
     kept: list[Envelope] = []
     try:

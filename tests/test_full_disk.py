@@ -11,8 +11,8 @@ from pathlib import Path
 import pytest
 from coordinator_events import Conversation
 
-from coordinator.events import Finish, Tell
-from coordinator.run_logger import Recorder
+from coordinator.events import Finish, LogEvent
+from coordinator.run_logger import RunLogger
 from t4nmtd_dist.core.errors import RunError
 from t4nmtd_dist.runs.directory import RunDirectory
 
@@ -49,21 +49,21 @@ def test_a_line_is_written_whole_or_not_at_all(tmp_path: Path) -> None:
 
 def test_what_cannot_be_written_is_told_once_and_ends_nothing(talk: Conversation, tmp_path: Path) -> None:
     told: list[str] = []
-    recorder = Recorder(talk.state, RunDirectory(tmp_path / "run"), "off", told.append)
+    recorder = RunLogger(talk.state, RunDirectory(tmp_path / "run"), "off", told.append)
     with files_end_after(1):
         for _ in range(3):
-            recorder.record(Tell(0.0, "a line"))
+            recorder.record(LogEvent(0.0, "a line"))
             recorder.metrics()
     assert len(told) == 1
     assert told[0].startswith(f"cannot write to {tmp_path / 'run'}: ")
-    recorder.record(Tell(0.0, "room again"))
+    recorder.record(LogEvent(0.0, "room again"))
     assert "room again" in (tmp_path / "run" / "events.jsonl").read_text(encoding="utf-8")
 
 
 def test_a_result_that_could_not_be_written_is_written_when_there_is_room(talk: Conversation, tmp_path: Path) -> None:
     told: list[str] = []
     run = RunDirectory(tmp_path / "run")
-    recorder = Recorder(talk.state, run, "off", told.append)
+    recorder = RunLogger(talk.state, run, "off", told.append)
     with files_end_after(1):
         recorder.record(Finish("stopped", "a reason"))
         assert not (run.path / "summary.json").exists()
@@ -75,9 +75,9 @@ def test_a_result_that_could_not_be_written_is_written_when_there_is_room(talk: 
 
 def test_a_run_directory_that_was_deleted_ends_nothing_before_the_end(talk: Conversation, tmp_path: Path) -> None:
     told: list[str] = []
-    recorder = Recorder(talk.state, RunDirectory(tmp_path / "run"), "off", told.append)
+    recorder = RunLogger(talk.state, RunDirectory(tmp_path / "run"), "off", told.append)
     shutil.rmtree(tmp_path / "run")
-    recorder.record(Tell(0.0, "a line"))
+    recorder.record(LogEvent(0.0, "a line"))
     assert "No such file" in told[0]
     with pytest.raises(RunError, match="No such file"):
         recorder.close()

@@ -19,7 +19,7 @@ from small_tasks import own_task
 
 import envs
 import workers
-from coordinator.bulletin import Bulletin
+from coordinator.notice_filter import NoticeFilter
 from t4nmtd_dist.cli import programs
 from t4nmtd_dist.core.config import EnvironmentConfig
 from t4nmtd_dist.core.errors import EnvError
@@ -292,7 +292,7 @@ def test_a_worker_that_dies_at_start_is_reported_at_once_with_its_last_lines(pro
 
 @given(st.text(max_size=3000), st.integers(1, 400))
 def test_a_notice_fills_neither_the_event_log_nor_the_screen(text: str, times: int) -> None:
-    bulletin = Bulletin()
+    bulletin = NoticeFilter()
     taken = [bulletin.lines(text) for _ in range(times)]
     assert all(len(lines) <= 6 for lines in taken)
     assert sum(map(len, taken)) <= 1000
@@ -300,7 +300,7 @@ def test_a_notice_fills_neither_the_event_log_nor_the_screen(text: str, times: i
 
 
 def test_a_notice_keeps_its_first_line_and_the_last_ones() -> None:
-    assert Bulletin().lines("\n".join("abcdefghij")) == ["a", "f", "g", "h", "i", "j"]
+    assert NoticeFilter().lines("\n".join("abcdefghij")) == ["a", "f", "g", "h", "i", "j"]
 
 
 def test_a_worker_killed_from_outside_is_told_in_the_event_log_and_on_the_terminal_if_it_is_killed_again(

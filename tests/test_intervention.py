@@ -52,7 +52,7 @@ def questions(rows: list[int], pid: str | tuple[str, ...], observations: Floats,
 
 def stand(peers: QueryPeers | ReplicaPeers) -> None:
     """Wait until the connections stand."""
-    for line in peers._connections.lines.values():
+    for line in peers._connections.by_pid.values():
         assert line.socket.poll(int(WAIT_S * 1000), zmq.POLLOUT)
 
 
@@ -176,7 +176,7 @@ def test_a_late_answer_changes_nothing_and_its_rows_are_counted_late(context: Co
 
 
 def stand_on(peers: QueryPeers, pid: str) -> None:
-    assert peers._connections.lines[pid].socket.poll(int(WAIT_S * 1000), zmq.POLLOUT)
+    assert peers._connections.by_pid[pid].socket.poll(int(WAIT_S * 1000), zmq.POLLOUT)
 
 
 def crossing(learner: OffPolicyLearner, peers: PeerCritics) -> None:
@@ -339,7 +339,7 @@ def test_a_replica_is_pulled_again_when_there_is_a_newer_version_and_not_too_oft
     learner.published.update(learner.agent.critic_weights(), 3)
     clock.now += PULL_EVERY_S
     assert request() == WeightsRequest(pid="g1", newer_than=0)
-    soon(lambda: gathered() and peers._connections.lines["g1"].version == 3)
+    soon(lambda: gathered() and peers._connections.by_pid["g1"].version == 3)
     tell(1, epoch=2)
     clock.now += PULL_EVERY_S
     assert request() == WeightsRequest(pid="g1", newer_than=-1), "another worker may count anew"
@@ -370,7 +370,7 @@ def test_weights_that_do_not_fit_count_as_none(
     good, _ = learner.published.weights()
     arrays = {f"weights.{name}": array for name, array in bad(good).items()}
     send(router, Envelope(WeightsReply(version=2), arrays), peer=received[0])
-    socket = peers._connections.lines["g1"].socket
+    socket = peers._connections.by_pid["g1"].socket
     assert socket.poll(int(WAIT_S * 1000))
     assert len(peers.gather(0).rows) == 0
     assert not socket.poll(0), "it was taken"

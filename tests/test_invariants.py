@@ -214,7 +214,7 @@ def holding(*pids: str, role: Any = "learner") -> WorkerState:
     state = worker(*([] if role == "evaluator" else pids), role=role)
     state.tick(0.0)
     for pid in pids:
-        state.hear(0.1, granted(pid, role))
+        state.receive(0.1, granted(pid, role))
     return state
 
 
@@ -284,9 +284,9 @@ def test_no_sequence_of_answers_breaks_a_worker(events: list[Any], pids: tuple[s
         elif told == "forget":
             state.forget("p1", float(second))
         elif told == "deaf":
-            state.was_deaf(float(second), second + 0.5)
+            state.discount_blocked_time(float(second), second + 0.5)
         else:
-            state.hear(float(second), told)
+            state.receive(float(second), told)
         state.validate()
 
 

@@ -17,9 +17,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 from small_tasks import small_learner, small_task
 
-from coordinator.endpoints import Access, Doors
+from coordinator.endpoints import Access, BoundSockets
 from coordinator.run_settings import RunSettings
-from coordinator.service import CoordinatorService
+from coordinator.service import CoordinatorService, RunStorage
 from coordinator.state import CoordinatorState
 from t4nmtd_dist.agents.common.peer_values import PeerValues, Questions
 from t4nmtd_dist.core.errors import ConfigError, KeyFileError, RunError
@@ -38,8 +38,8 @@ from t4nmtd_dist.wire.auth.keys import ClientKeys, load_client, load_coordinator
 from t4nmtd_dist.wire.codec import Envelope
 from t4nmtd_dist.wire.messages import Claim, Failure, Granted, LearnerStats, Message, Peer, Sync, SyncReply
 from t4nmtd_dist.wire.peers.critic_client import QueryPeers
-from t4nmtd_dist.wire.rate_limited_log import Notices
-from t4nmtd_dist.wire.secure_receiver import Gate
+from t4nmtd_dist.wire.rate_limited_log import RateLimitedLog
+from t4nmtd_dist.wire.secure_receiver import SecureReceiver
 from t4nmtd_dist.wire.sockets import bind, bound_endpoint, connect, receive, send, subscribe
 from t4nmtd_dist.wire.status_client import ask_status
 from t4nmtd_dist.wire.zmq_types import Context, Socket, new_context
@@ -190,7 +190,7 @@ def test_a_revocation_that_another_thread_saw_first_is_acted_upon(
 ) -> None:
     monkeypatch.setattr("t4nmtd_dist.wire.auth.allow_list.REREAD_S", 0.0)
     key = load_client(client_of(folder)).own.public
-    doors = Doors(Access("tcp://127.0.0.1:*", "tcp://127.0.0.1:*", folder))
+    doors = BoundSockets(Access("tcp://127.0.0.1:*", "tcp://127.0.0.1:*", folder))
     try:
         assert doors.changed_keys() is None
         revoke(folder, "client1")
@@ -229,7 +229,7 @@ def test_volume_is_limited_too() -> None:
 def test_who_sends_too_much_is_dropped_and_named_once(context: Context) -> None:
     told: list[str] = []
     router = bind(context, zmq.ROUTER, FREE_PORT)
-    gate = Gate(router, limits.Limits(100, messages_per_s=1, bytes_per_s=1e6), None, told.append)
+    gate = SecureReceiver(router, limits.Limits(100, messages_per_s=1, bytes_per_s=1e6), None, told.append)
     dealer = connect(context, bound_endpoint(router))
     assert dealer.poll(int(DEADLINE_S * 1000), zmq.POLLOUT)
     for _ in range(20):
@@ -247,10 +247,10 @@ def test_who_sends_too_much_is_dropped_and_named_once(context: Context) -> None:
 
 def test_a_line_is_told_once_and_invented_ones_do_not_fill_the_log() -> None:
     told: list[str] = []
-    notices = Notices(told.append)
+    notices = RateLimitedLog(told.append)
     for number in range(1000):
-        notices.once("the same")
-        notices.once(f"another {number}")
+        notices.log("the same")
+        notices.log(f"another {number}")
     assert told.count("the same") == 1
     assert len(told) == 100
 
@@ -328,7 +328,7 @@ def running(folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> It
     monkeypatch.setattr("coordinator.service.LONGEST_FAREWELL_S", 4.0)  # nobody here says a last word
     monkeypatch.setattr("t4nmtd_dist.wire.auth.allow_list.REREAD_S", 0.05)
     state = CoordinatorState(small_task(), RunSettings(seed=0, max_interactions=1000))
-    service = CoordinatorService(state, tmp_path / "run", Access(FREE_PORT, FREE_PORT, folder))
+    service = CoordinatorService(state, RunStorage(tmp_path / "run"), Access(FREE_PORT, FREE_PORT, folder))
     thread = threading.Thread(target=service.serve, daemon=True)
     thread.start()
     context = new_context()

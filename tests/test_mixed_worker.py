@@ -15,7 +15,7 @@ from small_tasks import START, TO_PASSENGER_2, small_task, snapshot_after
 
 from coordinator.endpoints import Access
 from coordinator.run_settings import RunSettings
-from coordinator.service import CoordinatorService
+from coordinator.service import CoordinatorService, RunStorage
 from coordinator.state import CoordinatorState
 from t4nmtd_dist.agents.common.off_policy import OffPolicyLearner
 from t4nmtd_dist.agents.common.peer_values import MixedPeers, PeerCritics
@@ -44,7 +44,7 @@ def workers(hands: tuple[tuple[str, ...], ...], intervention: str, folder: Path)
 @contextmanager
 def workers_of(state: CoordinatorState, hands: tuple[tuple[str, ...], ...], folder: Path) -> Iterator[list[Worker]]:
     """A coordinator in a thread, and workers whose turns the test takes."""
-    service = CoordinatorService(state, folder / "run", Access(FREE_PORT, FREE_PORT))
+    service = CoordinatorService(state, RunStorage(folder / "run"), Access(FREE_PORT, FREE_PORT))
     thread = threading.Thread(target=service.serve, daemon=True)
     thread.start()
     made = [Worker(WorkerOptions(Connection(service.control, WAIT_S), "learner", hand, hand[0])) for hand in hands]
@@ -87,7 +87,7 @@ def test_learners_of_one_worker_are_asked_directly_and_others_over_the_wire(
         peers = until(made, lambda peers: answered_by(peers, hands))
         assert isinstance(peers, MixedPeers)
         assert isinstance(peers.far, QueryPeers if intervention == "query" else ReplicaPeers)
-        elsewhere = set(peers.far._connections.lines)
+        elsewhere = set(peers.far._connections.by_pid)
         assert elsewhere <= set(hands[1]), "there is no wire to learners of the same worker"
         counts = peers.counts
         assert counts.asked == counts.answered + counts.own_used
@@ -115,7 +115,7 @@ def test_learners_learn_from_peers_of_their_worker_directly_and_from_others_over
             next(w._sessions["g4"].learner for w in made if "g4" in w._sessions),
         )
         assert copies is not None
-        assert set(copies._connections.lines) <= set(hands[1]), "there is no wire to learners of the same worker"
+        assert set(copies._connections.by_pid) <= set(hands[1]), "there is no wire to learners of the same worker"
         assert (others()["g4"] is g4.replay_buffer) == (hands is NEAR)
         assert g4.replay_buffer is not None
         assert lived(others()["g4"]) <= lived(g4.replay_buffer)

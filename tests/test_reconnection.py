@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from coordinator_events import Conversation, of
 
-from coordinator.events import KeysChanged, Noticed, Received, Send, Tell
+from coordinator.events import KeysChanged, LogEvent, LogRequest, Received, Send
 from t4nmtd_dist.wire.codec import Envelope
 from t4nmtd_dist.wire.messages import Claim, Granted, LearnerStats, Message, Refused, Sync
 
@@ -66,16 +66,16 @@ def test_leases_of_revoked_keys_end_and_others_stay() -> None:
     for pid, key in (("g", "gone"), ("p1", "kept"), ("p2", "")):
         say(talk, pid.encode(), claim(pid, pid), key)
     say(talk, b"evaluator", Claim(role="evaluator", instance="e"), "gone")
-    told = of(Tell, talk.state.handle(KeysChanged(talk.now, {"kept"})))
+    told = of(LogEvent, talk.state.handle(KeysChanged(talk.now, {"kept"})))
     assert [line.text.split()[0] for line in told] == ["g", "evaluator"]
     assert [lease.place for lease in talk.state.leases.holders(talk.now)] == ["p1", "p2"]
     assert talk.state.evaluator_lease.holders(talk.now) == []
-    assert of(Tell, talk.state.handle(KeysChanged(talk.now, {"kept"}))) == []
+    assert of(LogEvent, talk.state.handle(KeysChanged(talk.now, {"kept"}))) == []
     assert isinstance(say(talk, b"heir", claim("g", "heir"), "kept"), Granted)
 
 
 def test_notices_become_events() -> None:
     talk = Conversation()
-    (told,) = talk.state.handle(Noticed(3.0, "refused a client"))
-    assert isinstance(told, Tell)
+    (told,) = talk.state.handle(LogRequest(3.0, "refused a client"))
+    assert isinstance(told, LogEvent)
     assert talk.state.events[-1].text == "refused a client"

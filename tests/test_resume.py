@@ -15,7 +15,7 @@ from learner_work import STEPS, Work
 from small_sac import AT_G1, TO_G2, car_at, small_sac_task
 from small_tasks import START, TO_PASSENGER_2, small_task, snapshot_after
 
-from coordinator.checkpointing import go_on
+from coordinator.checkpointing import resume_state
 from coordinator.events import Interrupted
 from coordinator.run_settings import RunSettings
 from coordinator.saved_state import load_saved_state, raise_counts, saved_counts, saved_state
@@ -440,10 +440,10 @@ def test_the_coordinator_goes_on_from_counts_alone_if_there_is_no_checkpoint_yet
     talk = talked()
     write_counts(tmp_path, {"run_id": "", **saved_counts(talk.state)})
     fresh = Conversation()
-    assert "no checkpoint" in go_on(fresh.state, tmp_path, pytest.fail)
+    assert "no checkpoint" in resume_state(fresh.state, tmp_path, pytest.fail)
     assert fresh.state.interactions == 9000
     write_counts(tmp_path, {"run_id": "another", **saved_counts(talk.state)})
     other = Conversation()
-    go_on(other.state, tmp_path, pytest.fail)
+    resume_state(other.state, tmp_path, pytest.fail)
     assert other.state.interactions == 0
     assert read_counts(tmp_path / "nowhere") is None

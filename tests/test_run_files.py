@@ -15,7 +15,7 @@ from hypothesis import strategies as st
 from test_resume import talked
 from test_resume_plan import stopped_run
 
-from coordinator.checkpointing import go_on
+from coordinator.checkpointing import resume_state
 from coordinator.saved_state import saved_counts, saved_state
 from coordinator.snapshot import summary
 from t4nmtd_dist.core.errors import RunError
@@ -167,7 +167,7 @@ def test_damaged_counts_and_summary_do_not_block_a_resume_from_whole_checkpoints
     assert [text.split(" ")[0] for text in stopped.warnings] == [str(run / "summary.json")]
     warnings: list[str] = []
     fresh = Conversation()
-    assert "from checkpoint 000001" in go_on(fresh.state, run / "checkpoints", warnings.append)
+    assert "from checkpoint 000001" in resume_state(fresh.state, run / "checkpoints", warnings.append)
     assert fresh.fingerprint() == talk.fingerprint()
     assert len(warnings) == 1
     assert "counts.json" in warnings[0]
@@ -200,7 +200,7 @@ def test_whatever_counts_and_summary_hold_a_resume_goes_on(
     for path, content in ((run / "checkpoints" / "counts.json", counts), (run / "summary.json", told)):
         path.write_bytes(content if isinstance(content, bytes) else json.dumps(content).encode())
     fresh = Conversation()
-    go_on(fresh.state, run / "checkpoints", [].append)
+    resume_state(fresh.state, run / "checkpoints", [].append)
     assert fresh.state.interactions >= 0
     assert fresh.state.elapsed_s >= 0
     fresh.tick()
@@ -225,7 +225,7 @@ def test_a_summary_stands_in_for_checkpoints_and_counts_that_are_gone(damaged: b
     else:
         counts.unlink()
     fresh, warnings = Conversation(max_interactions=9500), list[str]()
-    says = go_on(fresh.state, run / "checkpoints", warnings.append)
+    says = resume_state(fresh.state, run / "checkpoints", warnings.append)
     spent = "resumed after 9000 interactions from no checkpoint: summary.json has what was spent"
     assert says == f"{spent}; Q and evaluations begin anew"
     assert fresh.state.elapsed_s == 40.0
@@ -237,7 +237,7 @@ def test_a_summary_stands_in_for_checkpoints_and_counts_that_are_gone(damaged: b
 
 def test_counts_stand_in_for_checkpoints_that_are_gone(tmp_path: Path) -> None:
     fresh = Conversation()
-    says = go_on(fresh.state, gone(tmp_path) / "checkpoints", pytest.fail)
+    says = resume_state(fresh.state, gone(tmp_path) / "checkpoints", pytest.fail)
     spent = "resumed after 9000 interactions from no checkpoint: counts.json has what was spent"
     assert says == f"{spent}; Q and evaluations begin anew"
     assert fresh.claim("p1").epoch == 2

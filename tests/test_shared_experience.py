@@ -159,7 +159,7 @@ def follow(copies: PeerExperience, pid: str, written: int) -> ReplayBuffer:
 
 def stand(copies: PeerExperience) -> Socket:
     """The socket to g1, once it is connected."""
-    socket = copies._connections.lines["g1"].socket
+    socket = copies._connections.by_pid["g1"].socket
     assert socket.poll(int(WAIT_S * 1000), zmq.POLLOUT)
     return socket
 
@@ -344,7 +344,7 @@ def test_bad_columns_leave_what_is_there_and_are_told_of_once(context: Context) 
         assert received is not None
         assert isinstance(received[1], Envelope)
         send(router, Envelope(message, arrays, id=received[1].id), peer=received[0])
-        line = copies._connections.lines["g1"]
+        line = copies._connections.by_pid["g1"]
         assert line.socket.poll(int(WAIT_S * 1000))
         copies.pull()
         assert (line.ask_at - clock.now > AFTER_MISFIT_S / 2) == any(arrays is each for each in (bad, worse)), (

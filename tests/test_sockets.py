@@ -19,7 +19,7 @@ from small_tasks import small_task
 
 from coordinator.endpoints import Access
 from coordinator.run_settings import RunSettings
-from coordinator.service import CoordinatorService
+from coordinator.service import CoordinatorService, RunStorage
 from coordinator.state import CoordinatorState
 from t4nmtd_dist.core.errors import ConfigError, ProtocolError, RunError
 from t4nmtd_dist.wire.codec import Envelope, decode
@@ -177,7 +177,7 @@ class Running:
 
 def service_in(folder: Path, endpoints: tuple[str, str] = (FREE_PORT, FREE_PORT)) -> CoordinatorService:
     state = CoordinatorState(small_task(), RunSettings(seed=0, max_interactions=1000))
-    return CoordinatorService(state, folder / "run", Access(*endpoints))
+    return CoordinatorService(state, RunStorage(folder / "run"), Access(*endpoints))
 
 
 @pytest.fixture

@@ -15,10 +15,10 @@ from small_tasks import small_task
 from test_full_disk import files_end_after
 from test_resume import report
 
-from coordinator.checkpointing import StateKeeper
+from coordinator.checkpointing import StateCheckpointing
 from coordinator.events import Finish
 from coordinator.finishing import write_result
-from coordinator.run_logger import Recorder
+from coordinator.run_logger import RunLogger
 from coordinator.run_settings import RunSettings
 from coordinator.saved_state import saved_state
 from t4nmtd_dist.cli.train import train
@@ -63,8 +63,8 @@ class Run:
         self.talk, self.told = begun(), list[str]()
         self.directory = RunDirectory(folder / "run")
         write_identity(self.directory.path, Identity("", serial=False))
-        self.keeper = StateKeeper(self.talk.state, self.directory.checkpoints, 300.0, self.told.append)
-        self.recorder = Recorder(self.talk.state, self.directory, "off", self.told.append)
+        self.keeper = StateCheckpointing(self.talk.state, self.directory.checkpoints, 300.0, self.told.append)
+        self.recorder = RunLogger(self.talk.state, self.directory, "off", self.told.append)
 
     @property
     def policy(self) -> Path:

@@ -11,7 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from small_tasks import small_task
 
-from coordinator.events import Received, RecordEvaluation, Send, Tell
+from coordinator.events import LogEvent, Received, RecordEvaluation, Send
 from coordinator.stand_ins import STAND_IN_AFTER_S
 from t4nmtd_dist.agents.registry import build_learner
 from t4nmtd_dist.agents.weights import acting_parameters
@@ -158,7 +158,7 @@ def test_only_the_first_stand_in_is_an_event() -> None:
     for _ in range(3):
         actions = talk.send("p1", Claim(role="evaluator", instance="p1", stand_in=True))
         epoch = next(a.message.epoch for a in actions if isinstance(a, Send) and isinstance(a.message, Granted))
-        told += of(Tell, actions) + of(Tell, talk.send("p1", Release(pid="evaluator", epoch=epoch)))
+        told += of(LogEvent, actions) + of(LogEvent, talk.send("p1", Release(pid="evaluator", epoch=epoch)))
     assert [tell.text for tell in told] == ["no evaluator: the learners' workers evaluate between their turns"]
 
 
@@ -396,7 +396,7 @@ def test_an_evaluation_longer_than_the_patience_hears_the_coordinator_and_goes_o
         for message in sent:
             if isinstance(message, EvaluationPoll):
                 for answer in talk.poll("e", epoch, busy=message.busy):
-                    state.hear(session.now, answer)
+                    state.receive(session.now, answer)
                     work.take(Envelope(answer, {}))
         sent.clear()
         assert not any(isinstance(action, Exit) for action in state.tick(session.now))

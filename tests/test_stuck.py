@@ -14,7 +14,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from small_tasks import INTO_HOLE, PICK, TO_PASSENGER_2, small_learner, small_task
 
-from coordinator.events import Tell
+from coordinator.events import LogEvent
 from coordinator.learner_registry import LearnerRecord
 from coordinator.run_settings import RunSettings
 from coordinator.snapshot import dashboard_state, status
@@ -118,7 +118,7 @@ def test_it_is_told_once_and_again_after_ten_minutes() -> None:
     def told(now: float, sequence: int) -> list[str]:
         talk.now = now
         actions = talk.send("w", talk.sync_message("p1", "w", sequence=sequence, stats=STUCK))
-        return [action.text for action in of(Tell, actions) if "reached a target" in action.text]
+        return [action.text for action in of(LogEvent, actions) if "reached a target" in action.text]
 
     assert [len(told(now, n)) for n, now in enumerate((0.0, 5.0, 599.0, 601.0, 605.0), 1)] == [1, 0, 0, 1, 0]
     assert any("18 of 16,420" in event.text for event in dashboard_state(talk.state).events)

@@ -17,7 +17,7 @@ from t4nmtd_dist.method.compiled import compile_task
 from t4nmtd_dist.tasks import load_task
 from t4nmtd_dist.wire.addresses import split_endpoint
 from t4nmtd_dist.wire.messages import Claim, Granted, Missing
-from workers.state import Ask, Begin, Exit, GiveBack, Say, WorkerState
+from workers.state import Exit, Print, SendClaim, SendRelease, StartWork, WorkerState
 
 ENDPOINT = "tcp://127.0.0.1:5570"
 NAMES = st.text("abcpgh~&|_0123456789", min_size=1, max_size=6)
@@ -70,15 +70,15 @@ def test_numbers_never_collide_with_names(pids: list[str]) -> None:
 def grants(state: WorkerState, talk: Conversation, now: float) -> list[object]:
     """Let a worker claim what is due now from a coordinator, and hear the answers; all that it does then."""
     talk.now = now
-    answers = [talk.answer("w", ask.claim) for ask in state.tick(now) if isinstance(ask, Ask)]
-    return [action for message in answers for action in state.hear(now, message)]
+    answers = [talk.answer("w", ask.claim) for ask in state.tick(now) if isinstance(ask, SendClaim)]
+    return [action for message in answers for action in state.receive(now, message)]
 
 
 def test_a_worker_holds_the_subtask_behind_its_number_and_says_so() -> None:
     state, talk = worker("p1"), task5()
     done = grants(state, talk, 0.0)
-    assert [type(action) for action in done] == [Begin, Say]
-    assert done[1] == Say("p1 is g1; holds g1 (epoch 1)")
+    assert [type(action) for action in done] == [StartWork, Print]
+    assert done[1] == Print("p1 is g1; holds g1 (epoch 1)")
     assert state.held == ["g1"]
     assert grants(state, talk, 30.0) == []
 
@@ -87,9 +87,9 @@ def test_a_worker_claims_its_number_again_from_a_coordinator_started_again() -> 
     state, first, second = worker("p2"), task5(), task5()
     grants(state, first, 0.0)
     refused = second.answer("w", first.sync_message("g2", "w"))
-    assert not [action for action in state.hear(1.0, refused) if isinstance(action, Exit)]
+    assert not [action for action in state.receive(1.0, refused) if isinstance(action, Exit)]
     done = grants(state, second, 1.1)
-    assert [type(action) for action in done] == [Begin, Say]
+    assert [type(action) for action in done] == [StartWork, Print]
     assert state.held == ["g2"]
 
 
@@ -98,7 +98,7 @@ def test_a_subtask_asked_for_twice_is_held_once(pids: tuple[str, str]) -> None:
     state, talk = worker(*pids), task5()
     done = [action for step in range(100) for action in grants(state, talk, step * 0.1)]
     assert state.held == ["g1"]
-    assert not [action for action in done if isinstance(action, GiveBack | Exit)]
+    assert not [action for action in done if isinstance(action, SendRelease | Exit)]
     lease = talk.state.leases.get("g1")
     assert lease is not None
     assert lease.epoch <= 2

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from small_sac import small_sac, small_sac_task
 from small_tasks import START, TO_PASSENGER_2, small_learner, small_task, snapshot_after
 
-from coordinator.events import Tell
+from coordinator.events import LogEvent
 from coordinator.run_settings import RunSettings
 from coordinator.state import CoordinatorState
 from t4nmtd_dist.agents.common.restarts import MOST_FAILURES
@@ -46,7 +46,7 @@ BAD_WEIGHTS: dict[str, Arrays] = {
 
 
 def tells(actions: list[Any]) -> list[str]:
-    return [action.text for action in of(Tell, actions)]
+    return [action.text for action in of(LogEvent, actions)]
 
 
 @pytest.mark.parametrize("bad", BAD_WEIGHTS.values(), ids=BAD_WEIGHTS.keys())

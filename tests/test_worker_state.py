@@ -11,7 +11,7 @@ from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 from t4nmtd_dist.wire.messages import Claim, Failure, Goodbye, Granted, Refused, Role
-from workers.state import Action, Ask, Begin, End, Exit, GiveBack, Say, WorkerState
+from workers.state import Action, Exit, Print, SendClaim, SendRelease, StartWork, StopWork, WorkerState
 
 ENDPOINT = "tcp://127.0.0.1:5570"
 WAIT_S = 60.0
@@ -45,7 +45,7 @@ def asks(state: WorkerState, until: float, step: float = 0.05) -> list[tuple[flo
     """Every claim made while time passes without an answer, with its time."""
     found = []
     for tick in range(1, int(until / step) + 1):
-        found += [(tick * step, ask.claim) for ask in of(Ask, state.tick(tick * step))]
+        found += [(tick * step, ask.claim) for ask in of(SendClaim, state.tick(tick * step))]
     return found
 
 
@@ -53,7 +53,7 @@ NOTHING_FREE = Refused(reason="nothing free", text="every sub-task has a learner
 
 
 def test_the_first_claim_comes_at_once_and_says_who_asks() -> None:
-    (ask,) = of(Ask, worker("p1").tick(0.0))
+    (ask,) = of(SendClaim, worker("p1").tick(0.0))
     assert ask.claim == Claim(role="learner", instance="host:1", pid="p1", critic_endpoint="tcp://127.0.0.1:9")
 
 
@@ -66,17 +66,17 @@ def test_claims_are_repeated_ever_more_slowly() -> None:
 
 
 def test_every_pid_is_claimed() -> None:
-    assert {ask.claim.pid for ask in of(Ask, worker("p1", "g").tick(0.0))} == {"p1", "g"}
+    assert {ask.claim.pid for ask in of(SendClaim, worker("p1", "g").tick(0.0))} == {"p1", "g"}
 
 
 def test_an_evaluator_claims_no_pid() -> None:
-    (ask,) = of(Ask, worker(role="evaluator").tick(0.0))
+    (ask,) = of(SendClaim, worker(role="evaluator").tick(0.0))
     assert (ask.claim.role, ask.claim.pid) == ("evaluator", None)
 
 
 def test_waiting_is_told_from_time_to_time() -> None:
     state = worker("p1")
-    said = [say.text for tick in range(1, 301) for say in of(Say, state.tick(tick * 0.1))]
+    said = [say.text for tick in range(1, 301) for say in of(Print, state.tick(tick * 0.1))]
     assert 3 <= len(said) <= 12
     assert all(ENDPOINT in text for text in said)
 
@@ -92,15 +92,15 @@ def test_it_gives_up_after_the_wait_and_names_the_endpoint() -> None:
 
 def test_any_word_of_the_coordinator_starts_the_wait_anew() -> None:
     state = worker("p1")
-    state.hear(WAIT_S - 1, Failure(text="?"))
+    state.receive(WAIT_S - 1, Failure(text="?"))
     assert of(Exit, state.tick(2 * WAIT_S - 2)) == []
     assert len(of(Exit, state.tick(2 * WAIT_S))) == 1
 
 
 def test_time_in_which_the_worker_itself_was_stopped_is_no_silence() -> None:
     state = worker("p1")
-    state.hear(1.0, granted("p1"))
-    state.was_deaf(2.0, 500.0)
+    state.receive(1.0, granted("p1"))
+    state.discount_blocked_time(2.0, 500.0)
     assert of(Exit, state.tick(500.0)) == []
     assert len(of(Exit, state.tick(500.0 + WAIT_S))) == 1
 
@@ -108,7 +108,7 @@ def test_time_in_which_the_worker_itself_was_stopped_is_no_silence() -> None:
 def test_a_grant_begins_work_and_ends_the_claims() -> None:
     state = worker("p1")
     state.tick(0.0)
-    (begin,) = of(Begin, state.hear(0.1, granted("p1")))
+    (begin,) = of(StartWork, state.receive(0.1, granted("p1")))
     assert begin.granted.pid == "p1"
     assert state.held == ["p1"]
     assert asks(state, 20.0) == []
@@ -117,36 +117,36 @@ def test_a_grant_begins_work_and_ends_the_claims() -> None:
 @pytest.mark.parametrize("reason", ["unknown pid", "lease is live"])
 def test_a_final_refusal_ends_the_process_with_its_text(reason: Any) -> None:
     state = worker("p9")
-    (end,) = of(Exit, state.hear(0.1, Refused(reason=reason, text="because", final=True, pid="p9")))
+    (end,) = of(Exit, state.receive(0.1, Refused(reason=reason, text="because", final=True, pid="p9")))
     assert (end.code, end.text) == (2, "because")
 
 
 def test_without_a_free_subtask_it_stands_by_and_says_so_once() -> None:
     state = worker()
     state.tick(0.0)
-    assert [say.text for say in of(Say, state.hear(0.1, NOTHING_FREE))] == [NOTHING_FREE.text]
+    assert [say.text for say in of(Print, state.receive(0.1, NOTHING_FREE))] == [NOTHING_FREE.text]
     for second in range(1, 200):
-        claims = of(Ask, state.tick(second * 1.2))
+        claims = of(SendClaim, state.tick(second * 1.2))
         assert len(claims) == 1
-        assert state.hear(second * 1.2 + 0.1, NOTHING_FREE) == []
-    assert len(of(Begin, state.hear(300.0, granted("p3")))) == 1
+        assert state.receive(second * 1.2 + 0.1, NOTHING_FREE) == []
+    assert len(of(StartWork, state.receive(300.0, granted("p3")))) == 1
 
 
 def test_a_worker_without_pids_takes_a_further_share_later() -> None:
     state = worker()
     state.tick(0.0)
-    state.hear(0.1, granted("p1"))
-    assert of(Ask, state.tick(1.0)) == []
-    assert [ask.claim.pid for ask in of(Ask, state.tick(20.0))] == [None]
-    state.hear(20.1, granted("p2"))
+    state.receive(0.1, granted("p1"))
+    assert of(SendClaim, state.tick(1.0)) == []
+    assert [ask.claim.pid for ask in of(SendClaim, state.tick(20.0))] == [None]
+    state.receive(20.1, granted("p2"))
     assert state.held == ["p1", "p2"]
 
 
 def test_a_worker_with_pids_takes_no_further_share() -> None:
     state = worker("p1")
     state.tick(0.0)
-    state.hear(0.1, granted("p1"))
-    assert of(Ask, state.tick(50.0)) == []
+    state.receive(0.1, granted("p1"))
+    assert of(SendClaim, state.tick(50.0)) == []
 
 
 def test_a_lease_granted_twice_over_is_given_back() -> None:
@@ -154,34 +154,34 @@ def test_a_lease_granted_twice_over_is_given_back() -> None:
     state = worker()
     state.tick(0.0)
     state.tick(0.5)
-    state.hear(0.6, granted("p1"))
-    assert state.hear(0.7, granted("p2", epoch=3)) == [GiveBack(granted("p2", epoch=3))]
+    state.receive(0.6, granted("p1"))
+    assert state.receive(0.7, granted("p2", epoch=3)) == [SendRelease(granted("p2", epoch=3))]
     assert state.held == ["p1"]
 
 
 def test_the_same_pid_granted_again_goes_on_under_the_newer_epoch() -> None:
     state = worker("p1")
     state.tick(0.0)
-    state.hear(0.1, granted("p1", epoch=1))
-    (begin,) = of(Begin, state.hear(0.2, granted("p1", epoch=2)))
+    state.receive(0.1, granted("p1", epoch=1))
+    (begin,) = of(StartWork, state.receive(0.2, granted("p1", epoch=2)))
     assert begin.granted.epoch == 2
     assert state.held == ["p1"]
 
 
 def test_a_lease_that_another_took_over_ends_the_worker_of_that_pid() -> None:
     state = worker("p1")
-    state.hear(0.1, granted("p1"))
-    actions = state.hear(5.0, Refused(reason="stale epoch", text="over", final=True, pid="p1"))
-    assert of(End, actions) == [End("p1", "over")]
+    state.receive(0.1, granted("p1"))
+    actions = state.receive(5.0, Refused(reason="stale epoch", text="over", final=True, pid="p1"))
+    assert of(StopWork, actions) == [StopWork("p1", "over")]
     assert of(Exit, actions) == [Exit(2, "over")]
 
 
 def test_the_other_pids_of_a_worker_go_on() -> None:
     state = worker("p1", "g")
-    state.hear(0.1, granted("p1"))
-    state.hear(0.1, granted("g"))
-    actions = state.hear(5.0, Refused(reason="stale epoch", text="over", final=True, pid="p1"))
-    assert of(End, actions) == [End("p1", "over")]
+    state.receive(0.1, granted("p1"))
+    state.receive(0.1, granted("g"))
+    actions = state.receive(5.0, Refused(reason="stale epoch", text="over", final=True, pid="p1"))
+    assert of(StopWork, actions) == [StopWork("p1", "over")]
     assert of(Exit, actions) == []
     assert state.held == ["g"]
     assert asks(state, 20.0) == []
@@ -189,31 +189,31 @@ def test_the_other_pids_of_a_worker_go_on() -> None:
 
 def test_a_worker_without_pids_that_loses_its_lease_looks_for_another() -> None:
     state = worker()
-    state.hear(0.1, granted("p1"))
-    actions = state.hear(1.0, Refused(reason="stale epoch", text="over", final=True, pid="p1"))
+    state.receive(0.1, granted("p1"))
+    actions = state.receive(1.0, Refused(reason="stale epoch", text="over", final=True, pid="p1"))
     assert of(Exit, actions) == []
-    assert [ask.claim.pid for ask in of(Ask, state.tick(1.1))] == [None]
+    assert [ask.claim.pid for ask in of(SendClaim, state.tick(1.1))] == [None]
 
 
 def test_after_a_restart_of_the_coordinator_the_lease_is_claimed_again() -> None:
     state = worker("p1")
-    state.hear(0.1, granted("p1", epoch=4))
-    actions = state.hear(5.0, Refused(reason="stale epoch", text="unknown here", final=False, pid="p1"))
-    assert (of(End, actions), of(Exit, actions)) == ([], []), "what was learned is kept"
-    assert [ask.claim.pid for ask in of(Ask, state.tick(5.1))] == ["p1"]
-    assert len(of(Begin, state.hear(5.2, granted("p1", epoch=1)))) == 1
+    state.receive(0.1, granted("p1", epoch=4))
+    actions = state.receive(5.0, Refused(reason="stale epoch", text="unknown here", final=False, pid="p1"))
+    assert (of(StopWork, actions), of(Exit, actions)) == ([], []), "what was learned is kept"
+    assert [ask.claim.pid for ask in of(SendClaim, state.tick(5.1))] == ["p1"]
+    assert len(of(StartWork, state.receive(5.2, granted("p1", epoch=1)))) == 1
 
 
 def test_after_a_restart_a_worker_without_pids_asks_for_what_it_held() -> None:
     state = worker()
-    state.hear(0.1, granted("p2", epoch=4))
-    actions = state.hear(1.0, Refused(reason="stale epoch", text="unknown here", final=False, pid="p2"))
-    assert (of(End, actions), of(Exit, actions)) == ([], []), "what was learned is kept"
-    assert [ask.claim.pid for ask in of(Ask, state.tick(1.1))] == ["p2"]
+    state.receive(0.1, granted("p2", epoch=4))
+    actions = state.receive(1.0, Refused(reason="stale epoch", text="unknown here", final=False, pid="p2"))
+    assert (of(StopWork, actions), of(Exit, actions)) == ([], []), "what was learned is kept"
+    assert [ask.claim.pid for ask in of(SendClaim, state.tick(1.1))] == ["p2"]
     refused = Refused(reason="lease is live", text="another was faster", final=True, pid="p2")
-    actions = state.hear(1.2, refused)
-    assert ([end.pid for end in of(End, actions)], of(Exit, actions)) == (["p2"], [])
-    assert [ask.claim.pid for ask in of(Ask, state.tick(1.3))] == [None]
+    actions = state.receive(1.2, refused)
+    assert ([end.pid for end in of(StopWork, actions)], of(Exit, actions)) == (["p2"], [])
+    assert [ask.claim.pid for ask in of(SendClaim, state.tick(1.3))] == [None]
 
 
 @settings(deadline=None)
@@ -225,12 +225,12 @@ def test_after_a_restart_everybody_goes_on_with_what_is_held_or_ends_it(order: l
 
     def follow(talk: Conversation, name: str, now: float, actions: list[Action]) -> None:
         for action in actions:
-            if isinstance(action, Ask):
+            if isinstance(action, SendClaim):
                 for sent in talk.answers(name, action.claim):
-                    follow(talk, name, now, workers[name].hear(now, sent.message))
-            elif isinstance(action, Begin):
+                    follow(talk, name, now, workers[name].receive(now, sent.message))
+            elif isinstance(action, StartWork):
                 working[name].add(action.granted.pid)
-            elif isinstance(action, End):
+            elif isinstance(action, StopWork):
                 working[name].discard(action.pid)
 
     first, second = Conversation(), Conversation()
@@ -244,7 +244,7 @@ def test_after_a_restart_everybody_goes_on_with_what_is_held_or_ends_it(order: l
         name = f"w{number}"
         (pid,) = before[name]
         stale = second.answer(name, second.sync_message(pid, name, epoch=1))
-        follow(second, name, 1.0, workers[name].hear(1.0, stale))
+        follow(second, name, 1.0, workers[name].receive(1.0, stale))
         follow(second, name, 1.0, workers[name].tick(1.0))
     if not faster:
         assert working == before
@@ -257,22 +257,22 @@ def test_what_was_ended_here_is_claimed_anew() -> None:
     """Nobody refuses a learner that says nothing any more: without a claim its sub-task would be held for ever."""
     state = worker("p1", "g")
     for pid in ("p1", "g"):
-        state.hear(0.1, granted(pid))
-    assert of(Ask, state.tick(1.0)) == []
+        state.receive(0.1, granted(pid))
+    assert of(SendClaim, state.tick(1.0)) == []
     state.forget("g", 1.0)
-    assert [ask.claim.pid for ask in of(Ask, state.tick(1.1))] == ["g"]
+    assert [ask.claim.pid for ask in of(SendClaim, state.tick(1.1))] == ["g"]
     assert state.held == ["p1"]
 
 
 def test_an_evaluator_that_lost_its_place_claims_it_again() -> None:
     state = worker(role="evaluator")
-    state.hear(0.1, granted("evaluator", role="evaluator"))
-    state.hear(5.0, Refused(reason="stale epoch", text="over", final=False))
-    assert len(of(Ask, state.tick(5.1))) == 1
+    state.receive(0.1, granted("evaluator", role="evaluator"))
+    state.receive(5.0, Refused(reason="stale epoch", text="over", final=False))
+    assert len(of(SendClaim, state.tick(5.1))) == 1
 
 
 def test_a_goodbye_ends_the_worker_well() -> None:
-    (end,) = of(Exit, worker("p1").hear(1.0, Goodbye(reason="solved")))
+    (end,) = of(Exit, worker("p1").receive(1.0, Goodbye(reason="solved")))
     assert end.code == 0
     assert "solved" in end.text
 
@@ -302,14 +302,14 @@ events = st.one_of(
 def test_nothing_is_held_twice_and_what_is_held_is_not_asked_for(pids: tuple[str, ...], told: list[Any]) -> None:
     state, working = worker(*pids), set[str]()
     for turn, message in enumerate(told):
-        actions = state.tick(float(turn)) if message is None else state.hear(float(turn), message)
+        actions = state.tick(float(turn)) if message is None else state.receive(float(turn), message)
         assert len(state.held) == len(set(state.held))
         if pids:
             assert set(state.held) <= set(pids)
-        for ask in of(Ask, actions):
+        for ask in of(SendClaim, actions):
             assert ask.claim.pid not in state.held
-        working |= {begin.granted.pid for begin in of(Begin, actions)}
-        working -= {end.pid for end in of(End, actions)}
+        working |= {begin.granted.pid for begin in of(StartWork, actions)}
+        working -= {end.pid for end in of(StopWork, actions)}
         if isinstance(message, Refused) and message.final and message.pid:
             assert message.pid not in working
         assert set(state.held) <= working

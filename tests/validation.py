@@ -17,7 +17,7 @@ T = TypeVar("T")
 def validate_after_every_event(patch: pytest.MonkeyPatch) -> None:
     """Wrap all methods that take events."""
     patch.setattr(CoordinatorState, "handle", _validated(CoordinatorState.handle))
-    for method in (WorkerState.tick, WorkerState.forget, WorkerState.was_deaf, WorkerState.hear):
+    for method in (WorkerState.tick, WorkerState.forget, WorkerState.discount_blocked_time, WorkerState.receive):
         patch.setattr(WorkerState, method.__name__, _validated(method))
 
 

@@ -35,8 +35,8 @@ from t4nmtd_dist.wire.messages import (
     WeightsReply,
     WeightsRequest,
 )
-from t4nmtd_dist.wire.rate_limited_log import Notices, Tell
-from t4nmtd_dist.wire.secure_receiver import Arrival, Gate
+from t4nmtd_dist.wire.rate_limited_log import Log, RateLimitedLog
+from t4nmtd_dist.wire.secure_receiver import Arrival, SecureReceiver
 from t4nmtd_dist.wire.sockets import bind, bound_endpoint, send
 from t4nmtd_dist.wire.zmq_types import Context
 
@@ -102,9 +102,9 @@ class CriticService:
         advertise: str = "",
         insecure: bool = False,
         own: KeyPair | None = None,
-        tell: Tell = lambda text: None,
+        tell: Log = lambda text: None,
     ) -> None:
-        self._notices = Notices(tell)
+        self._notices = RateLimitedLog(tell)
         self._strangers: dict[str, float] = {}
         self._allowed = None if own is None else AllowedKeys([own.public])
         self._own = own
@@ -121,8 +121,8 @@ class CriticService:
             frame_bytes=limits.frame_bytes,
             queued=limits.queued,
         )
-        self._guard = ConnectionGuard(self._socket, limits, self._notices.once)
-        self._gate = Gate(self._socket, limits, self._allowed, self._notices.once, self._guard)
+        self._guard = ConnectionGuard(self._socket, limits, self._notices.log)
+        self._receiver = SecureReceiver(self._socket, limits, self._allowed, self._notices.log, self._guard)
         host, port = split_endpoint(bound_endpoint(self._socket))
         self.endpoint = f"tcp://{advertise or host}:{port}"
         self._critics: dict[str, PublishedValues] = {}
@@ -148,7 +148,7 @@ class CriticService:
         now = time.monotonic()
         if now - self._strangers.setdefault(refusal.key, now) >= STRANGER_S:
             text = f"refused a peer at {refusal.address}: its key {refusal.key} is none the coordinator told of"
-            self._notices.once(text)
+            self._notices.log(text)
         if len(self._strangers) > MOST_STRANGERS:
             self._strangers.clear()
 
@@ -162,8 +162,8 @@ class CriticService:
     def _loop(self) -> None:
         while not self._stop.is_set():
             if self._socket.poll(POLL_MS):
-                self._take(list(self._gate.arrivals(MESSAGES_PER_TURN)))
-            self._gate.expel()
+                self._take(list(self._receiver.arrivals(MESSAGES_PER_TURN)))
+            self._receiver.disconnect_revoked()
         self._guard.close()
         self._socket.close(0)
 

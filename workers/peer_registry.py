@@ -11,7 +11,7 @@ from t4nmtd_dist.wire.auth.keys import ClientKeys
 from t4nmtd_dist.wire.peers.critic_client import QueryPeers
 from t4nmtd_dist.wire.peers.experience_client import PeerExperience
 from t4nmtd_dist.wire.peers.replica import ReplicaPeers
-from t4nmtd_dist.wire.rate_limited_log import Tell
+from t4nmtd_dist.wire.rate_limited_log import Log
 from t4nmtd_dist.wire.zmq_types import Context
 
 if TYPE_CHECKING:
@@ -33,9 +33,7 @@ class Neighbours:
         experience: what was pulled from other processes; None before there is a learner that wants it.
     """
 
-    def __init__(
-        self, context: Context, instance: str, keys: ClientKeys | None, tell: Tell = lambda text: None
-    ) -> None:
+    def __init__(self, context: Context, instance: str, keys: ClientKeys | None, tell: Log = lambda text: None) -> None:
         self._context, self._instance, self._keys, self._tell = context, instance, keys, tell
         self._critics: dict[str, CriticValues] = {}
         self._lived: dict[str, ReplayBuffer] = {}

@@ -19,21 +19,21 @@ LIKE_A_NUMBER = re.compile(r"p[0-9]+")
 
 
 @dataclass(frozen=True)
-class Ask:
+class SendClaim:
     """Send a claim."""
 
     claim: Claim
 
 
 @dataclass(frozen=True)
-class Begin:
+class StartWork:
     """Start work under a lease, or go on under a new one."""
 
     granted: Granted
 
 
 @dataclass(frozen=True)
-class End:
+class StopWork:
     """Stop work on a sub-task: its lease is over."""
 
     pid: str
@@ -41,15 +41,15 @@ class End:
 
 
 @dataclass(frozen=True)
-class GiveBack:
+class SendRelease:
     """Release a lease that is not wanted: the claim was repeated because its answer came late."""
 
     granted: Granted
 
 
 @dataclass(frozen=True)
-class Say:
-    """Tell the person at the terminal."""
+class Print:
+    """Show a line on the terminal."""
 
     text: str
 
@@ -62,7 +62,7 @@ class Exit:
     text: str
 
 
-Action = Ask | Begin | End | GiveBack | Say | Exit
+Action = SendClaim | StartWork | StopWork | SendRelease | Print | Exit
 
 
 @dataclass
@@ -72,7 +72,7 @@ class _Place:
     Attributes:
         wanted: a given pid or its number (p1), or None for any free one.
         held: the pid held now.
-        kept: the pid held before the coordinator forgot of it: its learner goes on, so it is asked for again.
+        kept: the pid held until the coordinator was restarted: its learner goes on, so it is claimed again.
     """
 
     wanted: str | None
@@ -108,7 +108,7 @@ class WorkerState:
     def __post_init__(self) -> None:
         wanted: list[str | None] = list(self.pids) or [None]
         self._places = [_Place(pid, next_try=self.now) for pid in wanted]
-        self._heard = self.now
+        self._last_message = self.now
         self._remind_at = self.now + FIRST_REMINDER_S
         self._share_due: float | None = None
         self._standing_by = False
@@ -134,7 +134,7 @@ class WorkerState:
 
     def tick(self, now: float) -> list[Action]:
         """Time has passed: claim what is due, or give up."""
-        silent = now - self._heard
+        silent = now - self._last_message
         if silent > self.wait_s:
             text = (
                 f"no coordinator answered at {self.coordinator} for {self.wait_s:.0f} s; "
@@ -145,7 +145,7 @@ class WorkerState:
         if now >= self._remind_at:
             self._remind_at = now + REMINDER_S
             actions.append(
-                Say(f"waiting for the coordinator at {self.coordinator} ({silent:.0f} of {self.wait_s:.0f} s)")
+                Print(f"waiting for the coordinator at {self.coordinator} ({silent:.0f} of {self.wait_s:.0f} s)")
             )
         if self._share_due is not None and now >= self._share_due:
             self._places.append(_Place(None, next_try=now))
@@ -155,26 +155,26 @@ class WorkerState:
     def _due(self, place: _Place, now: float) -> bool:
         return place.held is None and now >= place.next_try
 
-    def _ask(self, place: _Place, now: float) -> Ask:
+    def _ask(self, place: _Place, now: float) -> SendClaim:
         place.next_try = now + place.retry
         place.retry = min(2 * place.retry, LONGEST_RETRY_S)
         pid = None if self.role == "evaluator" else place.wanted or place.kept
-        return Ask(Claim(role=self.role, instance=self.instance, pid=pid, critic_endpoint=self.critic_endpoint))
+        return SendClaim(Claim(role=self.role, instance=self.instance, pid=pid, critic_endpoint=self.critic_endpoint))
 
     def forget(self, pid: str, now: float) -> None:
-        """The work on a sub-task was ended here: what is held or kept of it is claimed anew."""
+        """The work on a sub-task was ended here: claim again what is held or kept of it."""
         for place in self._places:
             if pid in (place.held, place.kept):
                 place.held, place.kept, place.next_try = None, None, now
 
-    def was_deaf(self, since: float, now: float) -> None:
-        """This process itself was busy or stopped in between: that was no silence of the coordinator."""
-        self._heard = min(now, self._heard + now - since)
+    def discount_blocked_time(self, since: float, now: float) -> None:
+        """Do not count time in which this process was blocked as silence of the coordinator."""
+        self._last_message = min(now, self._last_message + now - since)
         self._remind_at += now - since
 
-    def hear(self, now: float, message: Message) -> list[Action]:
+    def receive(self, now: float, message: Message) -> list[Action]:
         """A message from the coordinator arrived."""
-        self._heard = now
+        self._last_message = now
         self._remind_at = now + REMINDER_S
         if isinstance(message, Granted):
             return self._granted(message, now)
@@ -187,16 +187,16 @@ class WorkerState:
     def _granted(self, granted: Granted, now: float) -> list[Action]:
         place = self._place_for(granted)
         if place is None:
-            return [GiveBack(granted)]
+            return [SendRelease(granted)]
         self._places = [other for other in self._places if other is place or not _wants_the_same(other, granted)]
-        ended = self._let_go(place, "the coordinator gave another sub-task") if place.kept != granted.pid else []
+        ended = self._stop_kept(place, "the coordinator gave another sub-task") if place.kept != granted.pid else []
         place.held, place.kept = granted.pid, None
         place.retry = FIRST_RETRY_S
         self._standing_by = False
         if place.wanted is None and self.role == "learner":
             self._share_due = now + NEXT_SHARE_S
         number = f"{granted.asked} is {granted.pid}; " if granted.asked not in ("", granted.pid) else ""
-        return [*ended, Begin(granted), Say(f"{number}holds {granted.pid} (epoch {granted.epoch})")]
+        return [*ended, StartWork(granted), Print(f"{number}holds {granted.pid} (epoch {granted.epoch})")]
 
     def _place_for(self, granted: Granted) -> _Place | None:
         pid, asked = granted.pid, granted.asked or granted.pid
@@ -205,10 +205,10 @@ class WorkerState:
         open_places.sort(key=lambda place: place.kept is not None)
         return next(iter(matching + open_places), None)
 
-    def _let_go(self, place: _Place, reason: str) -> list[Action]:
+    def _stop_kept(self, place: _Place, reason: str) -> list[Action]:
         """End the work on what a place kept."""
         kept, place.kept = place.kept, None
-        return [] if kept is None or kept in self.held else [End(kept, f"{kept} is over here: {reason}")]
+        return [] if kept is None or kept in self.held else [StopWork(kept, f"{kept} is over here: {reason}")]
 
     def _refused(self, refused: Refused, now: float) -> list[Action]:
         if refused.reason == "stale epoch":
@@ -216,7 +216,7 @@ class WorkerState:
         keeping = [place for place in self._places if place.kept is not None and place.kept == refused.pid]
         if keeping and keeping[0].wanted is None:
             keeping[0].next_try = now
-            return self._let_go(keeping[0], refused.text)
+            return self._stop_kept(keeping[0], refused.text)
         if refused.final:
             return [Exit(2, refused.text)]
         for place in self._places:
@@ -225,7 +225,7 @@ class WorkerState:
         if self._standing_by or self.held:
             return []
         self._standing_by = True
-        return [Say(refused.text)]
+        return [Print(refused.text)]
 
     def _stale(self, refused: Refused, now: float) -> list[Action]:
         for place in self._places:
@@ -235,10 +235,10 @@ class WorkerState:
                 place.next_try = now
                 if refused.final and lost is not None:
                     return self._give_up(place, lost, refused)
-        return [Say(refused.text)]
+        return [Print(refused.text)]
 
     def _give_up(self, place: _Place, pid: str, refused: Refused) -> list[Action]:
-        ended: list[Action] = [End(pid, refused.text)]
+        ended: list[Action] = [StopWork(pid, refused.text)]
         place.kept = None
         if place.wanted is None:
             return ended

@@ -41,7 +41,7 @@ from workers.options import CheckpointOptions, WorkerOptions
 from workers.peer_registry import Neighbours
 from workers.say import say
 from workers.stand_in import STAND_IN, StandIn
-from workers.state import Action, Ask, Begin, End, Exit, GiveBack, Say, WorkerState
+from workers.state import Action, Exit, Print, SendClaim, SendRelease, StartWork, StopWork, WorkerState
 
 if TYPE_CHECKING:
     from workers.checkpointing import SessionKeeper
@@ -193,7 +193,7 @@ class Worker:
         """Do not count time in which this process was stopped as the coordinator's silence."""
         stopped_s = self._control.stopped_s()
         if stopped_s > self._stopped_s:
-            self._state.was_deaf(now - (stopped_s - self._stopped_s), now)
+            self._state.discount_blocked_time(now - (stopped_s - self._stopped_s), now)
             self._stopped_s = stopped_s
 
     def _take_outcome(self, outcome: Outcome) -> None:
@@ -242,7 +242,7 @@ class Worker:
         elif not isinstance(content, Envelope):
             self._take_outcome(content)
         elif arrival.renewal:
-            self._state.hear(arrival.at, content.message)
+            self._state.receive(arrival.at, content.message)
         else:
             self._take(content, arrival.at)
 
@@ -253,7 +253,7 @@ class Worker:
                 self._check_trust(message)
             self._stand_in.take(envelope)
             return
-        self._act(self._state.hear(at, message), envelope.arrays)
+        self._act(self._state.receive(at, message), envelope.arrays)
         if isinstance(message, SyncReply):
             self._take_reply(message, envelope)
         elif isinstance(message, EvaluationJob) and self._evaluation is not None:
@@ -277,16 +277,16 @@ class Worker:
 
     def _act(self, actions: Sequence[Action], arrays: Mapping[str, NDArray[Any]]) -> None:
         for action in actions:
-            if isinstance(action, Ask):
+            if isinstance(action, SendClaim):
                 self._send(action.claim)
-            elif isinstance(action, Begin):
+            elif isinstance(action, StartWork):
                 self._begin(action.granted, arrays)
-            elif isinstance(action, End):
+            elif isinstance(action, StopWork):
                 self._end(action.pid)
                 say(action.reason)
-            elif isinstance(action, GiveBack):
+            elif isinstance(action, SendRelease):
                 self._send(Release(pid=action.granted.pid, epoch=action.granted.epoch))
-            elif isinstance(action, Say):
+            elif isinstance(action, Print):
                 say(action.text)
             else:
                 self._exit = action

@@ -23,7 +23,7 @@ from rich.segment import Segment
 from rich.text import Text
 
 from coordinator.ui import panels, tables
-from coordinator.ui.terminal import PatientFile
+from coordinator.ui.terminal import NonBlockingFile
 from coordinator.ui.text import clean, count, duration, line, percent
 from t4nmtd_dist.wire.messages import DashboardState
 
@@ -197,12 +197,12 @@ class LiveDashboard:
         self._drawn_at = 0.0
         self._drawn: DashboardState | None = None
         self._latest: DashboardState | None = None
-        self._file: PatientFile | None = None
+        self._file: NonBlockingFile | None = None
         self._live: Live | None = None
 
     def __enter__(self) -> LiveDashboard:
         self._wrapped = self._console.file
-        self._file = PatientFile(self._wrapped)
+        self._file = NonBlockingFile(self._wrapped)
         self._console.file = cast(IO[str], self._file)
         if not self._plain:
             self._live = Live(

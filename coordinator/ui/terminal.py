@@ -13,7 +13,7 @@ MOST_PENDING = 1 << 16
 AT_ONCE = 4096  # a pipe that select calls writable takes as much without blocking
 
 
-class PatientFile(io.TextIOBase):
+class NonBlockingFile(io.TextIOBase):
     """Wraps the text file of a console; once a write has failed it is ``broken`` and swallows everything.
 
     A terminal is opened a second time without blocking, so that one which stops reading (Ctrl-S, a hung

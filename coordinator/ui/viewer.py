@@ -9,7 +9,7 @@ from collections.abc import Callable
 
 from rich.console import Console
 
-from coordinator.mishaps import Mishaps
+from coordinator.error_boundary import ErrorBoundary
 from coordinator.ui.dashboard import LiveDashboard
 from t4nmtd_dist.core.errors import ProtocolError, RunError
 from t4nmtd_dist.wire.auth.handshake import HandshakeMonitor, trouble
@@ -55,7 +55,7 @@ def watch(
     console = console or Console()
     socket = subscribe(context, endpoint, keys, monitored=True)
     handshakes = HandshakeMonitor(socket)
-    mishaps = Mishaps(lambda text: None)  # the traceback on stderr says it all
+    errors = ErrorBoundary(lambda text: None)  # the traceback on stderr says it all
     last: DashboardState | None = None
     heard = time.monotonic()
     try:
@@ -69,7 +69,7 @@ def watch(
                         break
                     continue
                 last, heard = state, time.monotonic()
-                with mishaps.survived("drawing the dashboard"):
+                with errors.guard("drawing the dashboard"):
                     visible = visible and dashboard.show(state)
                 if state.phase in OVER:
                     break

@@ -18,7 +18,7 @@ from t4nmtd_dist.wire.auth.keys import ClientKeys, load_client
 from t4nmtd_dist.wire.endpoints import CONTROL_PORT
 from t4nmtd_dist.wire.messages import PROTOCOL_VERSION, DashboardState, Status
 from t4nmtd_dist.wire.sockets import receive, subscribe
-from t4nmtd_dist.wire.status_client import Inquiry
+from t4nmtd_dist.wire.status_client import StatusClient
 from t4nmtd_dist.wire.zmq_types import Context, new_context
 from t4nmtd_dist.wire.zmtp_probe import Greeting, read_greeting
 
@@ -150,19 +150,19 @@ def _own_keys(folder: Path | None) -> ClientKeys | Finding | None:
 
 def _talk(context: Context, endpoint: str, own: ClientKeys | None, wait_s: float) -> Iterator[Finding]:
     try:
-        inquiry = Inquiry(context, endpoint, own)
+        client = StatusClient(context, endpoint, own)
     except ConfigError as error:
         yield Finding("key", "FAILED", str(error))
         return
-    outcome = inquiry.agree(wait_s)
+    outcome = client.handshake(wait_s)
     if outcome != "agreed":
-        inquiry.close()
+        client.close()
         yield _disagreement(context, endpoint, own, wait_s, outcome)
         return
     who = "no key needed" if own is None else f"the key of {own.own.name} is accepted"
     yield Finding("key", "ok", who)
-    yield from _question(inquiry, wait_s)
-    inquiry.close()
+    yield from _question(client, wait_s)
+    client.close()
 
 
 def _disagreement(
@@ -199,12 +199,12 @@ def _publishes(context: Context, endpoint: str, own: ClientKeys | None, wait_s: 
     return envelope is not None and isinstance(envelope.message, DashboardState)
 
 
-def _question(inquiry: Inquiry, wait_s: float) -> Iterator[Finding]:
+def _question(client: StatusClient, wait_s: float) -> Iterator[Finding]:
     trips: list[float] = []
     try:
         for _ in range(ROUND_TRIPS):
             asked_at, began = time.time(), time.monotonic()
-            status = inquiry.status(wait_s)
+            status = client.status(wait_s)
             trips.append(time.monotonic() - began)
     except ProtocolError as error:
         advice = f"run the same version on all machines; here it is {__version__}, protocol {PROTOCOL_VERSION}"

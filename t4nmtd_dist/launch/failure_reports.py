@@ -7,7 +7,7 @@ from contextlib import suppress
 
 from t4nmtd_dist.core.errors import ConfigError
 from t4nmtd_dist.wire.auth.keys import ClientKeys
-from t4nmtd_dist.wire.status_client import give_notice
+from t4nmtd_dist.wire.status_client import send_notice
 from t4nmtd_dist.wire.zmq_types import new_context
 
 TIMEOUT_S = 2.0
@@ -38,7 +38,7 @@ class FailureReports:
         if self.control:
             context = new_context()
             with suppress(ConfigError):  # an endpoint that cannot be connected to is reported elsewhere
-                give_notice(context, self.control, self._keys, text, TIMEOUT_S)
+                send_notice(context, self.control, self._keys, text, TIMEOUT_S)
             context.term()
 
     def release(self) -> None:

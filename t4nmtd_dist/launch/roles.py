@@ -43,23 +43,15 @@ def coordinator_service(
         RunError: if the run directory cannot be used.
     """
     from coordinator.run_settings import RunSettings
-    from coordinator.service import CoordinatorService
+    from coordinator.service import CoordinatorService, RunStorage
     from coordinator.state import CoordinatorState
     from t4nmtd_dist.wire.task_size import check_task_size
 
     check_task_size(task)
     budget, run_id = plan.config.max_interactions, plan.identity.run_id
     state = CoordinatorState(task, RunSettings(plan.seed, budget, str(plan.directory), lease_s, run_id))
-    return CoordinatorService(
-        state,
-        plan.directory,
-        access,
-        restart=options.restart,
-        resume=plan.resumes,
-        checkpoint_every_s=options.checkpoint_every,
-        tensorboard=options.tensorboard,
-        by_hand=by_hand,
-    )
+    storage = RunStorage(plan.directory, options.restart, plan.resumes, options.checkpoint_every, options.tensorboard)
+    return CoordinatorService(state, storage, access, by_hand=by_hand)
 
 
 def worker_options(program: Program, role: Role, control: str) -> WorkerOptions:

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 
 import torch
 
-from coordinator.events import Action, Event, Finish, Interrupted, Received, RecordEvaluation, Send, Tell
+from coordinator.events import Action, Event, Finish, Interrupted, LogEvent, Received, RecordEvaluation, Send
 from coordinator.run_settings import RunSettings
 from coordinator.saved_state import load_saved_state, saved_state
 from coordinator.state import CoordinatorState
@@ -76,7 +76,7 @@ class SerialRun:
     def _handle(self, event: Event) -> list[Action]:
         actions = self.coordinator.handle(event)
         if hasattr(self, "notes"):
-            self.notes += [action for action in actions if isinstance(action, Tell | RecordEvaluation | Finish)]
+            self.notes += [action for action in actions if isinstance(action, LogEvent | RecordEvaluation | Finish)]
         return actions
 
     def _ask(self, message: Message, arrays: dict[str, object]) -> list[Envelope]:

@@ -6,8 +6,8 @@ import sys
 import time
 
 from coordinator.events import Finish
-from coordinator.finishing import patience, write_result
-from coordinator.run_logger import Recorder
+from coordinator.finishing import retry_pauses, write_result
+from coordinator.run_logger import RunLogger
 from coordinator.run_settings import RunSettings
 from t4nmtd_dist.launch.program import Program
 from t4nmtd_dist.launch.protocol import BUDGET_SPENT, SOLVED, STOPPED, Handle, Supervisor
@@ -55,7 +55,7 @@ class SerialHandle:
         if plan.resumes:
             self._keeper.go_on()
         write_identity(plan.directory, plan.identity)
-        self._recorder = Recorder(self._run.coordinator, self._directory, program.options.tensorboard, _say)
+        self._recorder = RunLogger(self._run.coordinator, self._directory, program.options.tensorboard, _say)
 
     def check(self) -> bool:
         """One round; False once the run is over."""
@@ -85,7 +85,7 @@ class SerialHandle:
         outcome = self._run.coordinator.outcome
         if self._program.plan.resumes and outcome == "solved":
             self._recorder.record(Finish("solved", "the result is written now"))
-        pause = patience(lambda: time.sleep(PAUSE_S), self._interrupted)
+        pause = retry_pauses(lambda: time.sleep(PAUSE_S), self._interrupted)
         write_result(self._recorder, self._keeper, _say, pause)
         return CODES.get(outcome or "", STOPPED)
 

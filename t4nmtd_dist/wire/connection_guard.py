@@ -22,7 +22,7 @@ from zmq.utils.monitor import recv_monitor_message
 from t4nmtd_dist.wire.auth.handshake import Outcome, outcome_of
 from t4nmtd_dist.wire.connections import Connection, connection
 from t4nmtd_dist.wire.limits import Limits
-from t4nmtd_dist.wire.rate_limited_log import Tell
+from t4nmtd_dist.wire.rate_limited_log import Log
 from t4nmtd_dist.wire.zmq_types import MONITORED, Socket
 
 WATCHED = MONITORED | zmq.EVENT_ACCEPTED | zmq.EVENT_CLOSED
@@ -69,7 +69,7 @@ class ConnectionGuard:
     """
 
     def __init__(
-        self, socket: Socket, limits: Limits, tell: Tell, failed: Callable[[Outcome], None] = lambda outcome: None
+        self, socket: Socket, limits: Limits, tell: Log, failed: Callable[[Outcome], None] = lambda outcome: None
     ) -> None:
         self._socket, self._limits, self._tell, self._failed = socket, limits, tell, failed
         self._monitor: Socket = socket.get_monitor_socket(WATCHED)

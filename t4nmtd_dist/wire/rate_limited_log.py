@@ -1,4 +1,4 @@
-"""Lines about trouble on the wire, each told once however often it happens."""
+"""A log that passes each line on once in ten minutes, however often it is logged."""
 
 from __future__ import annotations
 
@@ -9,29 +9,29 @@ from collections.abc import Callable
 QUIET_S = 600.0
 MOST_LINES = 100
 
-Tell = Callable[[str], None]
+Log = Callable[[str], None]
 
 
-class Notices:
+class RateLimitedLog:
     """Passes a line on unless the same one was passed on in the last ten minutes; usable from any thread.
 
     Of different lines there are at most 100 in ten minutes: who invents keys cannot fill a disk.
 
     Args:
-        tell: called with a line.
+        log: called with each line that is passed on.
     """
 
-    def __init__(self, tell: Tell) -> None:
-        self._tell = tell
-        self._told: dict[str, float] = {}
+    def __init__(self, log: Log) -> None:
+        self._pass_on = log
+        self._seen: dict[str, float] = {}
         self._lock = threading.Lock()
 
-    def once(self, text: str) -> None:
-        """Tell a line, unless it was told lately."""
+    def log(self, text: str) -> None:
+        """Pass a line on, unless it was passed on lately."""
         now = time.monotonic()
         with self._lock:
-            self._told = {line: at for line, at in self._told.items() if at + QUIET_S > now}
-            if text in self._told or len(self._told) >= MOST_LINES:
+            self._seen = {line: at for line, at in self._seen.items() if at + QUIET_S > now}
+            if text in self._seen or len(self._seen) >= MOST_LINES:
                 return
-            self._told[text] = now
-        self._tell(text)
+            self._seen[text] = now
+        self._pass_on(text)

@@ -14,7 +14,7 @@ from t4nmtd_dist.wire.codec import MAX_REQUEST_HEADER_BYTES, Envelope, decode
 from t4nmtd_dist.wire.connection_guard import ConnectionGuard
 from t4nmtd_dist.wire.connections import Connection, connection_of
 from t4nmtd_dist.wire.limits import CONNECTIONS_REMEMBERED, Limits, RateLimiter
-from t4nmtd_dist.wire.rate_limited_log import Notices, Tell
+from t4nmtd_dist.wire.rate_limited_log import Log, RateLimitedLog
 from t4nmtd_dist.wire.zmq_types import Socket
 
 
@@ -33,11 +33,11 @@ class Arrival:
     content: Envelope | ProtocolError
 
 
-class Gate:
-    """Stands before a bound ROUTER or XPUB socket.
+class SecureReceiver:
+    """Receives at a bound ROUTER or XPUB socket, within limits and from allowed keys only.
 
-    ZeroMQ asks for a key in the handshake only. So each message's key is looked up again, and ``expel`` ends
-    connections whose key is no longer allowed: libzmq tells which descriptor a message came over.
+    ZeroMQ asks for a key in the handshake only. So each message's key is looked up again, and ``disconnect_revoked``
+    ends connections whose key is no longer allowed: libzmq tells which descriptor a message came over.
 
     Args:
         socket: the bound socket.
@@ -52,10 +52,10 @@ class Gate:
         socket: Socket,
         limits: Limits,
         allowed: AllowedKeys | None,
-        tell: Tell,
+        tell: Log,
         guard: ConnectionGuard | None = None,
     ) -> None:
-        self._socket, self._allowed, self._notices, self._guard = socket, allowed, Notices(tell), guard
+        self._socket, self._allowed, self._notices, self._guard = socket, allowed, RateLimitedLog(tell), guard
         self._rates = RateLimiter(limits)
         self._keys: OrderedDict[Connection, str] = OrderedDict()
 
@@ -103,7 +103,7 @@ class Gate:
         self._remember(frame, key)
         if key and key in self._allowed:
             return key
-        self.expel()
+        self.disconnect_revoked()
         return None
 
     def _remember(self, frame: zmq.Frame, key: str) -> None:
@@ -115,7 +115,7 @@ class Gate:
         if len(self._keys) > CONNECTIONS_REMEMBERED:
             self._keys.popitem(last=False)
 
-    def expel(self) -> None:
+    def disconnect_revoked(self) -> None:
         """End all connections whose key is no longer allowed."""
         if self._allowed is None:
             return
@@ -123,13 +123,13 @@ class Gate:
             if key not in self._allowed:
                 del self._keys[over]
                 if over.end():
-                    self._notices.once(f"ended the connection of key {key}, which is no longer allowed")
+                    self._notices.log(f"ended the connection of key {key}, which is no longer allowed")
 
     def _within_rate(self, peer: bytes, key: str, size: int) -> bool:
         if self._rates.allows(peer, size):
             return True
         who = self._allowed.name(key) if self._allowed is not None else "a connection"
-        self._notices.once(f"{who} sends more than {self._socket_limits()}; what is over that is dropped")
+        self._notices.log(f"{who} sends more than {self._socket_limits()}; what is over that is dropped")
         return False
 
     def _socket_limits(self) -> str:

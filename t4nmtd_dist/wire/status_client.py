@@ -1,4 +1,4 @@
-"""Asking a coordinator how it is, as anyone may who is let in."""
+"""Status client, open to any authorised client, which can also add lines to the event log."""
 
 from __future__ import annotations
 
@@ -18,8 +18,8 @@ SENDER = "inquiry"
 POLL_S = 0.05
 
 
-class Inquiry:
-    """A connection to a coordinator's control socket, for questions.
+class StatusClient:
+    """A connection to a coordinator's control socket, for status requests and notices.
 
     Args:
         context: the process's ZeroMQ context.
@@ -36,7 +36,7 @@ class Inquiry:
         self._handshakes = HandshakeMonitor(self._socket)
         self._number = 0
 
-    def agree(self, timeout_s: float) -> Outcome | None:
+    def handshake(self, timeout_s: float) -> Outcome | None:
         """Wait for the connection: ``agreed``, why there is none, or None where nobody answers in time."""
         deadline = time.monotonic() + timeout_s
         last: Outcome | None = None
@@ -69,7 +69,7 @@ class Inquiry:
                 raise ProtocolError(envelope.message.text)
         raise RunError(f"{self._endpoint} accepted the question and did not answer within {timeout_s:.0f} s")
 
-    def tell(self, text: str, timeout_s: float) -> None:
+    def notify(self, text: str, timeout_s: float) -> None:
         """Give the coordinator a line or more for its event log; returns once it has taken them.
 
         Raises:
@@ -86,21 +86,21 @@ class Inquiry:
         self._socket.close(0)
 
 
-def give_notice(context: Context, endpoint: str, keys: ClientKeys | None, text: str, timeout_s: float) -> bool:
+def send_notice(context: Context, endpoint: str, keys: ClientKeys | None, text: str, timeout_s: float) -> bool:
     """Put a text into a coordinator's event log; whether it was taken in time.
 
     Raises:
         ConfigError: if the endpoint cannot be connected to.
     """
-    inquiry = Inquiry(context, endpoint, keys)
+    client = StatusClient(context, endpoint, keys)
     try:
-        if inquiry.agree(timeout_s) != "agreed":
+        if client.handshake(timeout_s) != "agreed":
             return False
-        inquiry.tell(text, timeout_s)
+        client.notify(text, timeout_s)
     except (RunError, ProtocolError):
         return False
     finally:
-        inquiry.close()
+        client.close()
     return True
 
 
@@ -112,12 +112,12 @@ def ask_status(context: Context, endpoint: str, keys: ClientKeys | None, timeout
         ProtocolError: if the answer is not one of this protocol.
         RunError: if there is no answer; the text says why, as far as it is known.
     """
-    inquiry = Inquiry(context, endpoint, keys)
+    client = StatusClient(context, endpoint, keys)
     try:
-        outcome = inquiry.agree(timeout_s)
+        outcome = client.handshake(timeout_s)
         if outcome == "agreed":
-            return inquiry.status(timeout_s)
+            return client.status(timeout_s)
         silence = f"no coordinator answered at {endpoint} within {timeout_s:.0f} s; `t4nmtd doctor` finds out why"
         raise RunError(trouble(outcome, endpoint, keys) or silence)
     finally:
-        inquiry.close()
+        client.close()

@@ -46,7 +46,7 @@ class _Part:
 
 
 @dataclass
-class _Line:
+class _PeerConnection:
     """The connection to one peer.
 
     Attributes:
@@ -80,7 +80,7 @@ class _Line:
         return self.waited >= GATHERINGS_PER_REQUEST or any(part.batch is gathered for part in self.unsent)
 
 
-class QueryPeers(PeerClient[_Line]):
+class QueryPeers(PeerClient[_PeerConnection]):
     """Peers in other processes: requests go out ahead of the training, answers are gathered when a batch is trained.
 
     Neighbouring batches share a request: it goes out once one of them has ``ROWS_PER_REQUEST`` rows, after some
@@ -104,7 +104,7 @@ class QueryPeers(PeerClient[_Line]):
         value_shape: tuple[int, ...] = (),
         clock: Callable[[], float] = time.monotonic,
     ) -> None:
-        super().__init__(context, sender, keys, _Line, clock)
+        super().__init__(context, sender, keys, _PeerConnection, clock)
         self._value_shape = value_shape
         self._batches: dict[int, _Batch] = {}
         self.counts = InterventionCounts()
@@ -115,57 +115,59 @@ class QueryPeers(PeerClient[_Line]):
         opened = self._batches.setdefault(batch, _Batch())
         opened.asked += len(questions)
         for pid, part in questions.by_pid().items():
-            line = self._connections.lines.get(pid)
-            if line is None:
+            connection = self._connections.by_pid.get(pid)
+            if connection is None:
                 continue
-            line.unsent.append(_Part(opened, part))
-            if line.rows_of(opened) >= ROWS_PER_REQUEST:
-                self._request(pid, line)
+            connection.unsent.append(_Part(opened, part))
+            if connection.rows_of(opened) >= ROWS_PER_REQUEST:
+                self._request(pid, connection)
 
-    def _request(self, pid: str, line: _Line) -> None:
-        parts, line.unsent, line.waited = [part for part in line.unsent if not part.batch.closed], [], 0
-        if not parts or (line.silent and self._clock() < line.probe_at):
+    def _request(self, pid: str, connection: _PeerConnection) -> None:
+        parts = [part for part in connection.unsent if not part.batch.closed]
+        connection.unsent, connection.waited = [], 0
+        if not parts or (connection.silent and self._clock() < connection.probe_at):
             return
-        line.probe_at = self._clock() + PROBE_EVERY_S
+        connection.probe_at = self._clock() + PROBE_EVERY_S
         asked = together([part.questions for part in parts])[pid]
         arrays = {"observation": asked.observations, "q": np.asarray(asked.q, np.int32)}
-        number = self._send(line, ValueRequest(pid=pid), arrays)
+        number = self._send(connection, ValueRequest(pid=pid), arrays)
         if number:
-            line.in_flight[number] = parts
+            connection.in_flight[number] = parts
             for part in parts:
                 part.batch.outstanding += len(part.questions)
 
     def gather(self, batch: int, patience_s: float = 0.0) -> PeerValues:
         """See ``PeerCritics.gather``."""
         gathered = self._batches.pop(batch, None) or _Batch()
-        for pid, line in self._connections.lines.items():
-            if line.unsent and line.is_due(gathered):
-                self._request(pid, line)
+        for pid, connection in self._connections.by_pid.items():
+            if connection.unsent and connection.is_due(gathered):
+                self._request(pid, connection)
         if not gathered.asked:
             return PeerValues.joined([])
         deadline = self._clock() + patience_s
-        for pid, line in self._connections.lines.items():
-            if line.in_flight:
-                self._drain(pid, line, gathered, deadline)
+        for pid, connection in self._connections.by_pid.items():
+            if connection.in_flight:
+                self._drain(pid, connection, gathered, deadline)
         return self._close(gathered)
 
-    def _drain(self, pid: str, line: _Line, gathered: _Batch, deadline: float) -> None:
+    def _drain(self, pid: str, connection: _PeerConnection, gathered: _Batch, deadline: float) -> None:
         """Take what has come; wait for what ``gathered`` still lacks of this peer."""
         while True:
-            lacking = any(part.batch is gathered for parts in line.in_flight.values() for part in parts)
-            patience_s = max(0.0, deadline - self._clock()) if lacking and not line.silent else 0.0
-            envelopes = list(arrived(line.socket, patience_s))
+            lacking = any(part.batch is gathered for parts in connection.in_flight.values() for part in parts)
+            patience_s = max(0.0, deadline - self._clock()) if lacking and not connection.silent else 0.0
+            envelopes = list(arrived(connection.socket, patience_s))
             for envelope in envelopes:
-                self._take(pid, line, envelope)
+                self._take(pid, connection, envelope)
             if not envelopes:
                 return
 
-    def _take(self, pid: str, line: _Line, envelope: Envelope) -> None:
-        parts = line.in_flight.pop(envelope.id, None)
+    def _take(self, pid: str, connection: _PeerConnection, envelope: Envelope) -> None:
+        parts = connection.in_flight.pop(envelope.id, None)
         if parts is None:
-            line.misses = min(line.misses, MISSES_UNTIL_PROBING - 1)  # it answers again: give it another chance
+            # it answers again: give it another chance
+            connection.misses = min(connection.misses, MISSES_UNTIL_PROBING - 1)
             return
-        line.misses = 0
+        connection.misses = 0
         rows = sum(len(part.questions) for part in parts)
         values = self._values(envelope, rows)
         version = envelope.message.version if isinstance(envelope.message, ValueReply) else 0
@@ -192,16 +194,16 @@ class QueryPeers(PeerClient[_Line]):
         self.counts.late += gathered.outstanding
         self.counts.own_used += gathered.asked - len(found.rows)
         for answers, pid, version in gathered.answers:
-            line = self._connections.lines.get(pid)
-            if line is not None:
-                self.counts.lag_total += max(0, line.peer.version - version) * len(answers.rows)
+            connection = self._connections.by_pid.get(pid)
+            if connection is not None:
+                self.counts.lag_total += max(0, connection.peer.version - version) * len(answers.rows)
         if gathered.outstanding:
             self._forget_missed()
         return found
 
     def _forget_missed(self) -> None:
-        for line in self._connections.lines.values():
-            missed = [n for n, parts in line.in_flight.items() if all(part.batch.closed for part in parts)]
+        for connection in self._connections.by_pid.values():
+            missed = [n for n, parts in connection.in_flight.items() if all(part.batch.closed for part in parts)]
             for number in missed:
-                del line.in_flight[number]
-            line.misses += len(missed)
+                del connection.in_flight[number]
+            connection.misses += len(missed)

@@ -15,7 +15,7 @@ from t4nmtd_dist.wire.auth.keys import ClientKeys
 from t4nmtd_dist.wire.codec import Envelope, without_prefix
 from t4nmtd_dist.wire.messages import ExperienceReply, ExperienceRequest, Peer
 from t4nmtd_dist.wire.peers.peer_connections import PeerClient, arrived
-from t4nmtd_dist.wire.rate_limited_log import Tell
+from t4nmtd_dist.wire.rate_limited_log import Log
 from t4nmtd_dist.wire.zmq_types import Context, Socket
 
 if TYPE_CHECKING:
@@ -28,7 +28,7 @@ AFTER_MISFIT_S = 60.0
 
 
 @dataclass
-class _Line:
+class _PeerConnection:
     """The connection to one peer.
 
     Attributes:
@@ -50,7 +50,7 @@ class _Line:
     misfit: bool = False
 
 
-class PeerExperience(PeerClient[_Line]):
+class PeerExperience(PeerClient[_PeerConnection]):
     """Pulls what peers have lived through since the last time; never waits.
 
     What is here of a peer that moves or goes away stays; a peer that is back, or has begun anew, tells everything
@@ -77,35 +77,35 @@ class PeerExperience(PeerClient[_Line]):
         symbols: int,
         keys: ClientKeys | None = None,
         clock: Callable[[], float] = time.monotonic,
-        tell: Tell = lambda text: None,
+        tell: Log = lambda text: None,
     ) -> None:
-        super().__init__(context, sender, keys, _Line, clock)
+        super().__init__(context, sender, keys, _PeerConnection, clock)
         self._make, self._symbols, self._tell = make, symbols, tell
         self.copies: dict[str, ReplayBuffer] = {}
 
     def pull(self) -> None:
         """Take what has come, and ask for more of those that are due: soon, where not all fitted into an answer."""
-        for pid, line in self._connections.lines.items():
-            for envelope in arrived(line.socket):
-                if envelope.id == line.request:
-                    line.request = 0
-                    self._take(pid, line, envelope)
-            if self._clock() >= line.ask_at:
-                self._ask(pid, line)
+        for pid, connection in self._connections.by_pid.items():
+            for envelope in arrived(connection.socket):
+                if envelope.id == connection.request:
+                    connection.request = 0
+                    self._take(pid, connection, envelope)
+            if self._clock() >= connection.ask_at:
+                self._ask(pid, connection)
 
-    def _ask(self, pid: str, line: _Line) -> None:
-        line.request = self._send(line, ExperienceRequest(pid=pid, step=line.step))
-        line.ask_at = self._clock() + (ANSWER_WITHIN_S if line.request else ASK_EVERY_S)
+    def _ask(self, pid: str, connection: _PeerConnection) -> None:
+        connection.request = self._send(connection, ExperienceRequest(pid=pid, step=connection.step))
+        connection.ask_at = self._clock() + (ANSWER_WITHIN_S if connection.request else ASK_EVERY_S)
 
-    def _take(self, pid: str, line: _Line, envelope: Envelope) -> None:
+    def _take(self, pid: str, connection: _PeerConnection, envelope: Envelope) -> None:
         """Store an answer; one that does not fit is told of, and the peer not asked again for a minute."""
-        line.ask_at = self._clock() + ASK_EVERY_S
+        connection.ask_at = self._clock() + ASK_EVERY_S
         reply = envelope.message
         if not isinstance(reply, ExperienceReply):
             return
-        if reply.origin != line.origin:
-            asked_of_another = line.step > 0
-            line.origin, line.step, line.stored = reply.origin, 0, -1
+        if reply.origin != connection.origin:
+            asked_of_another = connection.step > 0
+            connection.origin, connection.step, connection.stored = reply.origin, 0, -1
             if asked_of_another:
                 return
         room = self.copies.get(pid)
@@ -114,18 +114,18 @@ class PeerExperience(PeerClient[_Line]):
         try:
             columns = checked_columns(without_prefix("experience.", envelope.arrays), room, self._symbols)
         except ProtocolError as error:
-            if not line.misfit:
-                self._tell(f"dropping what {pid} at {line.peer.endpoint} tells of its experience: {error}")
-                line.misfit = True
-            line.ask_at = self._clock() + AFTER_MISFIT_S
+            if not connection.misfit:
+                self._tell(f"dropping what {pid} at {connection.peer.endpoint} tells of its experience: {error}")
+                connection.misfit = True
+            connection.ask_at = self._clock() + AFTER_MISFIT_S
             return
         steps = len(columns["symbols"])
         if steps:
-            room.extend(columns, follows=reply.first == line.stored)
-            self.copies[pid], line.stored = room, reply.first + steps
-        line.step = max(reply.first + steps, reply.written - room.steps)
-        if steps and line.step < reply.written:
-            line.ask_at = self._clock() + ASK_FOR_REST_AFTER_S
+            room.extend(columns, follows=reply.first == connection.stored)
+            self.copies[pid], connection.stored = room, reply.first + steps
+        connection.step = max(reply.first + steps, reply.written - room.steps)
+        if steps and connection.step < reply.written:
+            connection.ask_at = self._clock() + ASK_FOR_REST_AFTER_S
 
 
 def checked_columns(arrays: Mapping[str, NDArray[Any]], room: ReplayBuffer, symbols: int) -> dict[str, NDArray[Any]]:

@@ -1,4 +1,4 @@
-"""Connections to peers in other processes, as the coordinator tells where they are."""
+"""Connections to peers in other processes, at the addresses that the coordinator gives."""
 
 from __future__ import annotations
 
@@ -19,46 +19,46 @@ from t4nmtd_dist.wire.zmq_types import Context, Socket
 HANDSHAKE_MS = 2000  # a peer that does not know of us yet stays silent; ask again then
 
 
-class HasPeer(Protocol):
+class Connected(Protocol):
     """What a connection holds: the peer as the coordinator last told of it, and the socket."""
 
     peer: Peer
     socket: Socket
 
 
-LineT = TypeVar("LineT", bound=HasPeer)
+ConnectionT = TypeVar("ConnectionT", bound=Connected)
 
 
 @dataclass
-class PeerLines(Generic[LineT]):
+class PeerConnections(Generic[ConnectionT]):
     """One connection per peer.
 
     Attributes:
         context: the process's ZeroMQ context.
         keys: this worker's own, if the coordinator has keys; each peer's public key comes with its address.
-        make: a line from a peer and the socket connected to it.
+        make: a connection from a peer and the socket connected to it.
     """
 
     context: Context
     keys: ClientKeys | None
-    make: Callable[[Peer, Socket], LineT]
+    make: Callable[[Peer, Socket], ConnectionT]
 
     def __post_init__(self) -> None:
-        self.lines: dict[str, LineT] = {}
+        self.by_pid: dict[str, ConnectionT] = {}
 
     def set_peers(self, peers: Mapping[str, Peer]) -> None:
         """Where peers answer now; a peer that moved is connected to anew, one without a usable address is away."""
-        for pid in set(self.lines) - set(peers):
-            self.lines.pop(pid).socket.close(0)
+        for pid in set(self.by_pid) - set(peers):
+            self.by_pid.pop(pid).socket.close(0)
         for pid, peer in peers.items():
-            line = self.lines.get(pid)
-            if line is not None and (line.peer.endpoint, line.peer.key) == (peer.endpoint, peer.key):
-                line.peer = peer
+            connection = self.by_pid.get(pid)
+            if connection is not None and (connection.peer.endpoint, connection.peer.key) == (peer.endpoint, peer.key):
+                connection.peer = peer
                 continue
-            if line is not None:
-                self.lines.pop(pid).socket.close(0)
+            if connection is not None:
+                self.by_pid.pop(pid).socket.close(0)
             with suppress(ConfigError):
-                self.lines[pid] = self.make(peer, self._connect(peer))
+                self.by_pid[pid] = self.make(peer, self._connect(peer))
 
     def _connect(self, peer: Peer) -> Socket:
         if self.keys is None:
@@ -68,14 +68,14 @@ class PeerLines(Generic[LineT]):
         return connect(self.context, peer.endpoint, self.keys.to(peer.key), handshake_ms=HANDSHAKE_MS)
 
 
-class PeerClient(Generic[LineT]):
-    """What all have in common that ask peers in other processes.
+class PeerClient(Generic[ConnectionT]):
+    """The common part of all clients of peers in other processes.
 
     Args:
         context: the process's ZeroMQ context.
         sender: the name that requests carry.
         keys: this worker's own, if the coordinator has keys; each peer's public key comes with its address.
-        make: a line from a peer and the socket connected to it.
+        make: a connection from a peer and the socket connected to it.
         clock: seconds that only grow.
     """
 
@@ -84,11 +84,11 @@ class PeerClient(Generic[LineT]):
         context: Context,
         sender: str,
         keys: ClientKeys | None,
-        make: Callable[[Peer, Socket], LineT],
+        make: Callable[[Peer, Socket], ConnectionT],
         clock: Callable[[], float],
     ) -> None:
         self._sender, self._clock = sender, clock
-        self._connections = PeerLines(context, keys, make)
+        self._connections = PeerConnections(context, keys, make)
         self._next_id = 0
 
     def set_peers(self, peers: Mapping[str, Peer]) -> None:
@@ -99,10 +99,10 @@ class PeerClient(Generic[LineT]):
         """Close all connections."""
         self.set_peers({})
 
-    def _send(self, line: LineT, message: Message, arrays: Arrays | None = None) -> int:
+    def _send(self, connection: ConnectionT, message: Message, arrays: Arrays | None = None) -> int:
         """Send a request; its number, or 0 if it cannot be sent now."""
         self._next_id += 1
-        sent = send(line.socket, Envelope(message, arrays or {}, self._sender, self._next_id))
+        sent = send(connection.socket, Envelope(message, arrays or {}, self._sender, self._next_id))
         return self._next_id if sent else 0
 
 

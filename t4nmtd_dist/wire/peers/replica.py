@@ -26,7 +26,7 @@ FIRST_PULL_EVERY_S = 0.25
 
 
 @dataclass
-class _Line:
+class _PeerConnection:
     """The connection to one peer, and the copy of its networks.
 
     Attributes:
@@ -59,7 +59,7 @@ class _Batch:
     answers: list[tuple[PeerValues, int]] = field(default_factory=list)
 
 
-class ReplicaPeers(PeerClient[_Line]):
+class ReplicaPeers(PeerClient[_PeerConnection]):
     """Peers in other processes whose networks are evaluated here.
 
     A peer's weights are pulled only while somebody asks for its values, every two seconds at most, and only if the
@@ -83,7 +83,7 @@ class ReplicaPeers(PeerClient[_Line]):
         keys: ClientKeys | None = None,
         clock: Callable[[], float] = time.monotonic,
     ) -> None:
-        super().__init__(context, sender, keys, _Line, clock)
+        super().__init__(context, sender, keys, _PeerConnection, clock)
         self._make = make
         self._batches: dict[int, _Batch] = {}
         self.counts = InterventionCounts()
@@ -95,31 +95,35 @@ class ReplicaPeers(PeerClient[_Line]):
         opened.asked += len(questions)
         opened.waiting.append(questions)
         for pid in set(questions.pids):
-            line = self._connections.lines.get(pid)
-            if line is not None:
-                self._keep_fresh(pid, line)
+            connection = self._connections.by_pid.get(pid)
+            if connection is not None:
+                self._keep_fresh(pid, connection)
 
-    def _keep_fresh(self, pid: str, line: _Line) -> None:
-        if self._clock() < line.pull_at:
+    def _keep_fresh(self, pid: str, connection: _PeerConnection) -> None:
+        if self._clock() < connection.pull_at:
             return
-        known = line.version if line.epoch == line.peer.epoch else NO_VERSION
-        if line.copy is None or line.peer.version > known:
-            self._send(line, WeightsRequest(pid=pid, newer_than=known))
-        line.pull_at = self._clock() + (FIRST_PULL_EVERY_S if line.copy is None else PULL_EVERY_S)
+        known = connection.version if connection.epoch == connection.peer.epoch else NO_VERSION
+        if connection.copy is None or connection.peer.version > known:
+            self._send(connection, WeightsRequest(pid=pid, newer_than=known))
+        connection.pull_at = self._clock() + (FIRST_PULL_EVERY_S if connection.copy is None else PULL_EVERY_S)
 
-    def _take(self, line: _Line) -> None:
+    def _take(self, connection: _PeerConnection) -> None:
         """Load what has come; weights that do not fit or are not finite count as none."""
-        for envelope in arrived(line.socket):
+        for envelope in arrived(connection.socket):
             weights = without_prefix("weights.", envelope.arrays)
             if not isinstance(envelope.message, WeightsReply) or not weights:
                 continue
-            copy = line.copy or self._make()
+            copy = connection.copy or self._make()
             try:
                 copy.load(weights, envelope.message.version)
             except (PolicyError, ProtocolError):
-                line.copy = None
+                connection.copy = None
                 continue
-            line.copy, line.version, line.epoch = copy, envelope.message.version, line.peer.epoch
+            connection.copy, connection.version, connection.epoch = (
+                copy,
+                envelope.message.version,
+                connection.peer.epoch,
+            )
 
     def gather(self, batch: int, patience_s: float = 0.0) -> PeerValues:
         """See ``PeerCritics.gather``; it waits for nothing, whatever the patience."""
@@ -139,19 +143,21 @@ class ReplicaPeers(PeerClient[_Line]):
                 waiting.setdefault(pid, []).append((batch, part))
             batch.waiting = []
         for pid, parts in waiting.items():
-            line = self._connections.lines.get(pid)
-            if line is not None:
-                self._take(line)
-            if line is not None and line.copy is not None:
-                self._evaluate(pid, line, line.copy, parts)
+            connection = self._connections.by_pid.get(pid)
+            if connection is not None:
+                self._take(connection)
+            if connection is not None and connection.copy is not None:
+                self._evaluate(pid, connection, connection.copy, parts)
                 continue
             for batch, part in parts:
                 batch.waiting.append(part)
 
-    def _evaluate(self, pid: str, line: _Line, copy: PublishedValues, parts: list[tuple[_Batch, Questions]]) -> None:
+    def _evaluate(
+        self, pid: str, connection: _PeerConnection, copy: PublishedValues, parts: list[tuple[_Batch, Questions]]
+    ) -> None:
         asked = together([part for _, part in parts])[pid]
         values, version = copy.values({"observation": asked.observations, "q": np.asarray(asked.q, np.int32)})
-        lag, begin, good = max(0, line.peer.version - version), 0, bool(np.isfinite(values).all())
+        lag, begin, good = max(0, connection.peer.version - version), 0, bool(np.isfinite(values).all())
         for batch, part in parts:
             end = begin + len(part)
             if good:
@@ -163,6 +169,6 @@ class ReplicaPeers(PeerClient[_Line]):
         self.counts.answered += len(found.rows)
         self.counts.own_used += gathered.asked - len(found.rows)
         self.counts.lag_total += sum(lag * len(answers.rows) for answers, lag in gathered.answers)
-        lines = self._connections.lines
+        lines = self._connections.by_pid
         self.counts.late += sum(pid in lines for each in gathered.waiting for pid in each.pids)
         return found

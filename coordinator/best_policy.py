@@ -40,7 +40,7 @@ def export_best(state: CoordinatorState, folder: Path) -> None:
     export_policy(folder, state.task, snapshot.q_table, snapshot.weights, about, mode=row.actions)
 
 
-def keep_exported(state: CoordinatorState, folder: Path, warn: Warn) -> None:
+def consider_exported(state: CoordinatorState, folder: Path, warn: Warn) -> None:
     """Count the exported policy among the evaluated ones: it may be newer than the checkpoint, and better.
 
     Args:

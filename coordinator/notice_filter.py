@@ -1,4 +1,4 @@
-"""What others put into the event log: cut to size, printable, and not without end."""
+"""Notices that others put into the event log: printable, cut to size, and bounded in number."""
 
 from __future__ import annotations
 
@@ -7,18 +7,18 @@ LONGEST_LINE = 300
 MOST_LINES = 1000
 
 
-class Bulletin:
-    """Takes notices of one run."""
+class NoticeFilter:
+    """Cuts the notices of one run to size."""
 
     def __init__(self) -> None:
-        self._room = MOST_LINES
+        self._left = MOST_LINES
 
     def lines(self, text: str) -> list[str]:
         """The lines of a notice that go into the event log: its first, and the last of the others."""
         given = [line for line in map(_clean, text[: 100 * LONGEST_LINE].splitlines()) if line]
         kept = given[:1] + given[1:][1 - LINES_PER_NOTICE :]
-        kept = kept[: self._room]
-        self._room -= len(kept)
+        kept = kept[: self._left]
+        self._left -= len(kept)
         return kept
 
 

@@ -1,4 +1,4 @@
-"""Unexpected exceptions in parts that a training can do without: told once, with their place, and survived."""
+"""Unexpected exceptions in parts that a training can do without: logged once, with their place, and survived."""
 
 from __future__ import annotations
 
@@ -10,24 +10,24 @@ from pathlib import Path
 
 from t4nmtd_dist.core.errors import RunError
 from t4nmtd_dist.wire.fields import shortened
-from t4nmtd_dist.wire.rate_limited_log import Notices, Tell
+from t4nmtd_dist.wire.rate_limited_log import Log, RateLimitedLog
 
 
-class Mishaps:
+class ErrorBoundary:
     """Says of an unexpected exception what failed and where; the traceback goes to stderr, which is the log.
 
-    The same exception at the same place is told once in ten minutes.
+    The same exception at the same place is logged once in ten minutes.
 
     Args:
-        tell: called with a line for the event log.
+        log: called with a line for the event log.
     """
 
-    def __init__(self, tell: Tell) -> None:
-        self._notices = Notices(tell)
-        self._traced = Notices(_write)
+    def __init__(self, log: Log) -> None:
+        self._notices = RateLimitedLog(log)
+        self._traced = RateLimitedLog(_write)
 
     @contextmanager
-    def survived(self, what: str) -> Iterator[list[Exception]]:
+    def guard(self, what: str) -> Iterator[list[Exception]]:
         """Go on after an exception of the block; the list holds it then.
 
         Args:
@@ -45,8 +45,8 @@ class Mishaps:
             caught.append(error)
             frame = traceback.extract_tb(error.__traceback__)[-1]
             place = f"{Path(frame.filename).name}:{frame.lineno}"
-            self._notices.once(shortened(f"unexpected {type(error).__name__} while {what} ({place}): {error}"))
-            self._traced.once("".join(traceback.format_exception(error)))
+            self._notices.log(shortened(f"unexpected {type(error).__name__} while {what} ({place}): {error}"))
+            self._traced.log("".join(traceback.format_exception(error)))
 
 
 def _write(text: str) -> None:
