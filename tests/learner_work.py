@@ -29,7 +29,7 @@ class Work:
         assert isinstance(granted, Granted)
         self.granted, self.session = granted, LearnerSession(granted, actions[0].arrays)
         if state is not None:
-            self.session.go_on_from(state, granted, actions[0].arrays)
+            self.session.resume_from(state, granted, actions[0].arrays)
 
     def iterate(self, times: int) -> None:
         for _ in range(times):

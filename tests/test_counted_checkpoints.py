@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 from learner_work import STEPS, Work
 
-from workers.checkpointing import SessionKeeper
+from workers.checkpointing import LearnerCheckpoints
 
 
 @pytest.mark.parametrize("heard", [0, 1, 2])
@@ -26,25 +26,25 @@ def numbers(folder: Path) -> list[str]:
     return sorted(path.name for path in folder.glob("**/p1/0*"))
 
 
-def keeping(folder: Path, work: Work) -> SessionKeeper:
-    """A keeper of a learner whose next checkpoint is always due."""
-    keeper = SessionKeeper(folder, 0.0, print)
-    keeper.go_on(work.session, work.granted, {})
-    return keeper
+def keeping(folder: Path, work: Work) -> LearnerCheckpoints:
+    """Checkpoints of a learner whose next one is always due."""
+    checkpoints = LearnerCheckpoints(folder, 0.0, print)
+    checkpoints.resume(work.session, work.granted, {})
+    return checkpoints
 
 
 def test_a_killed_learner_has_no_checkpoint_of_steps_that_were_never_counted(tmp_path: Path) -> None:
     work = Work()
-    keeper = keeping(tmp_path, work)
+    checkpoints = keeping(tmp_path, work)
     unheard = work.learn_and_tell()
     for _ in range(2):
-        keeper.turn([work.session])
+        checkpoints.write_due([work.session])
         work.session.iterate(work.peers)  # it learns on
-    keeper.delete([])  # waits for what is being written
+    checkpoints.delete([])  # waits for what is being written
     assert numbers(tmp_path) == []
     work.hear(unheard)
-    keeper.turn([work.session])
-    keeper.delete([])
+    checkpoints.write_due([work.session])
+    checkpoints.delete([])
     assert numbers(tmp_path) == ["000001"]
     work.claim()
     keeping(tmp_path, work)  # of a new worker, after a kill -9
@@ -58,20 +58,20 @@ def test_a_checkpoint_does_not_wait_for_ever_for_a_coordinator_that_is_away(
 ) -> None:
     monkeypatch.setattr("workers.checkpointing.UNANSWERED_S", 0.0)
     work = Work()
-    keeper = keeping(tmp_path, work)
+    checkpoints = keeping(tmp_path, work)
     work.learn_and_tell()
     for _ in range(2):
-        keeper.turn([work.session])
-    keeper.delete([])
+        checkpoints.write_due([work.session])
+    checkpoints.delete([])
     assert numbers(tmp_path) == ["000001"]
 
 
 def test_a_held_checkpoint_of_a_learner_that_has_ended_is_not_written(tmp_path: Path) -> None:
     work = Work()
-    keeper = keeping(tmp_path, work)
+    checkpoints = keeping(tmp_path, work)
     sync = work.learn_and_tell()
-    keeper.turn([work.session])
+    checkpoints.write_due([work.session])
     work.hear(sync)
-    keeper.turn([])
-    keeper.delete([])
+    checkpoints.write_due([])
+    checkpoints.delete([])
     assert numbers(tmp_path) == []

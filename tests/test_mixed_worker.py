@@ -68,8 +68,8 @@ def take_turns(made: list[Worker], holds: Callable[[], object]) -> None:
 
 def until(made: list[Worker], holds: Callable[[PeerCritics], object]) -> PeerCritics:
     """Let the workers take turns until something holds of the peers of p2."""
-    take_turns(made, lambda: "p2" in made[0]._neighbours.peers and holds(made[0]._neighbours.peers["p2"]))
-    return made[0]._neighbours.peers["p2"]
+    take_turns(made, lambda: "p2" in made[0]._peer_registry.peers and holds(made[0]._peer_registry.peers["p2"]))
+    return made[0]._peer_registry.peers["p2"]
 
 
 def answered_by(peers: PeerCritics, hands: tuple[tuple[str, ...], ...]) -> int:
@@ -111,7 +111,7 @@ def test_learners_learn_from_peers_of_their_worker_directly_and_from_others_over
     with workers_of(state, hands, tmp_path) as made:
         take_turns(made, lambda: "g4" in others() and state.records["g1"].total.peer_rows)
         copies, g4 = (
-            made[0]._neighbours.experience,
+            made[0]._peer_registry.experience,
             next(w._sessions["g4"].learner for w in made if "g4" in w._sessions),
         )
         assert copies is not None

@@ -39,7 +39,7 @@ from t4nmtd_dist.wire.messages import (
     Release,
     SyncReply,
 )
-from workers.checkpointing import SessionKeeper
+from workers.checkpointing import LearnerCheckpoints
 
 EVALUATED = ("evaluation.every=60", "evaluation.episodes=2", "environment.horizon=20", "learner.attempt_steps=12")
 SAC = ("sac.relabel_share=0.5", "sac.success_share=0.25", "sac.updates_per_step=0.3", 'learner.hand_over="changes"')
@@ -338,20 +338,20 @@ def test_processor_time_is_told_on_after_a_kill() -> None:
 def test_runs_that_share_a_folder_keep_their_checkpoints(tmp_path: Path) -> None:
     told: list[str] = []
 
-    def kept(run_id: str, *, times: int = 0) -> tuple[SessionKeeper, Work]:
-        work, keeper = Work(), SessionKeeper(tmp_path, 300.0, told.append)
+    def kept(run_id: str, *, times: int = 0) -> tuple[LearnerCheckpoints, Work]:
+        work, checkpoints = Work(), LearnerCheckpoints(tmp_path, 300.0, told.append)
         work.session.run_id = run_id
-        keeper.go_on(work.session, msgspec.structs.replace(work.granted, run_id=run_id), {})
+        checkpoints.resume(work.session, msgspec.structs.replace(work.granted, run_id=run_id), {})
         for _ in range(times):
             work.iterate(1)
-            keeper.finish([work.session])
-        return keeper, work
+            checkpoints.write_last([work.session])
+        return checkpoints, work
 
     kept("a", times=2)
-    keeper, work = kept("b", times=4)
+    checkpoints, work = kept("b", times=4)
     assert kept("a")[1].session.learner.rollout.interactions == 2 * STEPS
     assert kept("b")[1].session.learner.rollout.interactions == 4 * STEPS
-    keeper.delete([work.session])
+    checkpoints.delete([work.session])
     assert [path.name for path in tmp_path.iterdir()] == ["a"]
     assert kept("a")[1].session.learner.rollout.interactions == 2 * STEPS
 
@@ -359,10 +359,10 @@ def test_runs_that_share_a_folder_keep_their_checkpoints(tmp_path: Path) -> None
 def test_a_run_directory_holds_the_checkpoints_of_its_own_run_alone(tmp_path: Path) -> None:
     identity, work = new_identity(serial=False), Work()
     write_identity(tmp_path, identity)
-    keeper = SessionKeeper(tmp_path / "checkpoints", 300.0, print)
+    checkpoints = LearnerCheckpoints(tmp_path / "checkpoints", 300.0, print)
     for run_id in (identity.run_id, "another"):
         work.session.run_id = run_id
-        keeper.finish([work.session])
+        checkpoints.write_last([work.session])
     assert {path.relative_to(tmp_path).as_posix() for path in tmp_path.glob("checkpoints/**/p1")} == {
         "checkpoints/p1",
         "checkpoints/another/p1",
@@ -393,7 +393,7 @@ def test_the_last_steps_before_a_stop_count_once_whether_the_coordinator_hears_o
     last = work.session.last_sync()
     if heard:
         work.hear(last)
-    assert work.session.heard == heard
+    assert work.session.is_answered == heard
     work.claim(work.kept())
     work.iterate(1)
     assert work.counted == 4 * STEPS
@@ -407,10 +407,10 @@ def test_an_answer_to_another_learner_of_the_same_worker_is_left_alone() -> None
     own = SyncReply("p1", work.session.epoch, 2, 0, work.talk.state.method.entries(), {})
     others = msgspec.structs.replace(own, pid="p2", accepted_sequence=99, start_cursor=50)
     work.session.take_reply(Envelope(others, {"starts.q": np.zeros(1, np.int32), "starts.state": np.zeros((1, 4))}))
-    assert not work.session.heard
+    assert not work.session.is_answered
     assert len(work.session.buffer) == held
     work.session.take_reply(Envelope(own, {}))
-    assert work.session.heard
+    assert work.session.is_answered
 
 
 @pytest.mark.parametrize("same_run", [True, False])
@@ -430,10 +430,10 @@ def test_a_learner_outlives_its_coordinator_and_tells_a_resumed_one_only_what_is
 def test_a_learner_is_of_no_use_to_a_coordinator_that_trains_something_else() -> None:
     work = Work()
     again = Conversation().claim("p1")
-    assert work.session.goes_on_in(again)
-    assert work.session.goes_on_in(msgspec.structs.replace(again, run_id="another"))
+    assert work.session.can_go_on_under(again)
+    assert work.session.can_go_on_under(msgspec.structs.replace(again, run_id="another"))
     for changed in ({"seed": 1}, {"task": {**again.task, "formula": "F(g)"}}, {"rho": [0.0]}):
-        assert not work.session.goes_on_in(msgspec.structs.replace(again, run_id="another", **changed))
+        assert not work.session.can_go_on_under(msgspec.structs.replace(again, run_id="another", **changed))
 
 
 def test_the_coordinator_goes_on_from_counts_alone_if_there_is_no_checkpoint_yet(tmp_path: Path) -> None:

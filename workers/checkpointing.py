@@ -40,7 +40,7 @@ class _Held:
     state: State
 
 
-class SessionKeeper:
+class LearnerCheckpoints:
     """Checkpoints of the learners of one worker.
 
     A learner that goes on from a checkpoint tells nothing again of what it holds. So it is written only once the
@@ -59,7 +59,7 @@ class SessionKeeper:
         self._due: dict[str, float] = {}
         self._held: _Held | None = None
 
-    def go_on(self, session: LearnerSession, granted: Granted, arrays: Mapping[str, NDArray[Any]]) -> None:
+    def resume(self, session: LearnerSession, granted: Granted, arrays: Mapping[str, NDArray[Any]]) -> None:
         """Let a fresh session go on from the newest checkpoint of its sub-task in this run, if there is one."""
         self._due[session.pid] = time.monotonic() + self._every_s
         wanted = (granted.run_id, granted.pid)
@@ -70,12 +70,12 @@ class SessionKeeper:
                 self._say(f"{granted.pid}: no checkpoint of it in {folder}; its weights go on, with an empty replay")
             return
         try:
-            session.go_on_from(found.state, granted, arrays)
+            session.resume_from(found.state, granted, arrays)
         except (RunError, PolicyError, KeyError, TypeError, ValueError) as error:
             raise RunError(f"cannot go on from {found.path}: {error}; delete it to learn without it") from error
         self._say(f"{granted.pid} goes on from {found.path} with {len(session.buffer)} start states")
 
-    def turn(self, sessions: Collection[LearnerSession]) -> None:
+    def write_due(self, sessions: Collection[LearnerSession]) -> None:
         """Begin to write the checkpoint that is due, if any; the work goes on meanwhile.
 
         To be called right after messages to the coordinator, when these hold all that was done.
@@ -88,13 +88,13 @@ class SessionKeeper:
             return
         for session in sessions:
             late_s = now - self._due.get(session.pid, now)
-            if late_s >= UNANSWERED_S or (late_s >= 0 and session.all_told):
+            if late_s >= UNANSWERED_S or (late_s >= 0 and session.all_reported):
                 self._hold(session, now)
                 return
 
     def _hold(self, session: LearnerSession, now: float) -> None:
         self._due[session.pid] = now + self._every_s
-        until = now + UNANSWERED_S if session.all_told else now
+        until = now + UNANSWERED_S if session.all_reported else now
         self._held = _Held(session, session.newest_message, until, _about(session), copied(session.state_dict()))
 
     def _write_held(self, held: _Held, sessions: Collection[LearnerSession], now: float) -> None:
@@ -106,7 +106,7 @@ class SessionKeeper:
         if not ended:
             self._writer.begin(self._folder(held.session), held.about, held.state)
 
-    def finish(self, sessions: Iterable[LearnerSession]) -> None:
+    def write_last(self, sessions: Iterable[LearnerSession]) -> None:
         """Write the last checkpoint of every learner, and wait for it."""
         self._held = None
         self._writer.wait()

@@ -77,7 +77,7 @@ def check_trust(granted: Granted, coordinator: str, *, given: bool) -> None:
     require_trust(environment, source, given=given, ask=False, otherwise=otherwise)
 
 
-class Loader:
+class HeavyImports:
     """Imports in a thread, so that the worker goes on hearing the coordinator and signals meanwhile.
 
     Args:

@@ -27,7 +27,7 @@ from t4nmtd_dist.method.start_states import InitialStateBuffer
 from t4nmtd_dist.wire.codec import Envelope, without_prefix
 from t4nmtd_dist.wire.messages import Granted, Intervention, LearnerStats, Peer, Sync, SyncReply
 from t4nmtd_dist.wire.progress import newest_starts, pack_progress, unpack_starts
-from t4nmtd_dist.wire.statistics import counted_since
+from workers.report_ledger import ReportLedger
 
 RESEND_S = 2.0
 STARTS_PER_SYNC = 64
@@ -79,8 +79,7 @@ class LearnerSession:
         self._trained_for = training_of(granted)
         self._training = False
         self._counts = InterventionCounts()
-        self._told_before = LearnerStats()
-        self._begin_lease(sent_version=granted.version)
+        self._begin_lease(LearnerStats(), sent_version=granted.version)
 
     def _say(self, text: str) -> None:
         self._tell(f"{self.pid}: {text}")
@@ -97,38 +96,31 @@ class LearnerSession:
             self._say(f"learning goes on without the weights of version {granted.version}: {error}")
             self.learner.version = granted.version
 
-    def _begin_lease(self, sent_version: int) -> None:
-        self._told: LearnerStats | None = None
-        self._unanswered: dict[int, LearnerStats] = {}
-        self._heard: LearnerStats | None = None
-        self._ending = False
-        self._sequence = self._answered = 0
+    def _begin_lease(self, reported_before: LearnerStats, *, sent_version: int) -> None:
+        self._ledger = ReportLedger(reported_before)
         self._start_cursor = 0
         self._sent_version = sent_version
         self._outstanding: Envelope | None = None
         self._sent_at = -np.inf
 
-    def goes_on_in(self, granted: Granted) -> bool:
+    def can_go_on_under(self, granted: Granted) -> bool:
         """Whether what was learned here is of use under a lease of this pid: of the same run, or of one like it."""
         return granted.run_id == self.run_id or training_of(granted) == self._trained_for
 
     def renew(self, granted: Granted) -> None:
         """Go on under a new lease (the coordinator was started again) with everything learned so far.
 
-        A coordinator that resumed the run knows what it was told before; a new run is told everything.
+        A coordinator that resumed the run knows what was reported before; to a new run everything is reported.
         """
-        if granted.run_id != self.run_id:
-            self.run_id, self._told_before = granted.run_id, LearnerStats()
-        elif self._told is not None:
-            self._told_before = self._told
-        self.epoch = granted.epoch
-        self._begin_lease(sent_version=0)
+        before = self._ledger.newest or self._ledger.before if granted.run_id == self.run_id else LearnerStats()
+        self.run_id, self.epoch = granted.run_id, granted.epoch
+        self._begin_lease(before, sent_version=0)
 
-    def go_on_from(self, state: State, granted: Granted, arrays: Mapping[str, NDArray[Any]]) -> None:
+    def resume_from(self, state: State, granted: Granted, arrays: Mapping[str, NDArray[Any]]) -> None:
         """Go on from a checkpoint of this run under a new lease; weights that came with the lease are kept if newer.
 
-        What the checkpoint's learner told under an earlier lease is not told again; the counts of intervention and of
-        processor time, which are not the learner's own, begin at 0.
+        What was reported under an earlier lease is not reported again; the counts of intervention and of processor
+        time, which are not the learner's own, begin at 0.
 
         Raises:
             RunError, PolicyError: if the checkpoint is of another kind of learner.
@@ -139,7 +131,7 @@ class LearnerSession:
         self.learner.rollout.take_progress()
         self._counts = InterventionCounts()
         told = msgspec.convert(state["lease"]["told"], LearnerStats)
-        self._told_before = msgspec.structs.replace(told, intervention=Intervention(), processor_s=self.processor_s)
+        self._ledger.before = msgspec.structs.replace(told, intervention=Intervention(), processor_s=self.processor_s)
 
     def state_dict(self) -> State:
         """Everything, for a checkpoint; arrays may be views, see ``Learner.state_dict``."""
@@ -149,11 +141,11 @@ class LearnerSession:
             "q_table": self.method.entries(),
             "counts": asdict(self._counts),
             "lease": {
-                "sequence": self._sequence,
+                "sequence": self._ledger.sequence,
                 "start_cursor": self._start_cursor,
                 "sent_version": self._sent_version,
-                "told": msgspec.to_builtins(self._counts_told()),
-                "told_before": msgspec.to_builtins(self._told_before),
+                "told": msgspec.to_builtins(self._ledger.counted(self._all_counts())),
+                "told_before": msgspec.to_builtins(self._ledger.before),
             },
         }
 
@@ -161,9 +153,9 @@ class LearnerSession:
         """Go on from a ``state`` under the very same lease: in one process with its coordinator (``--serial``)."""
         self._load(state)
         lease = state["lease"]
-        self._sequence, self._start_cursor = lease["sequence"], lease["start_cursor"]
+        self._ledger.sequence, self._start_cursor = lease["sequence"], lease["start_cursor"]
         self._sent_version = lease["sent_version"]
-        self._told_before = msgspec.convert(lease["told_before"], LearnerStats)
+        self._ledger.before = msgspec.convert(lease["told_before"], LearnerStats)
         self._counts = InterventionCounts(**state["counts"])
 
     def _load(self, state: State) -> None:
@@ -187,46 +179,38 @@ class LearnerSession:
             return self._outstanding
         if now < self._sent_at + interval_s:
             return None
-        self._sequence += 1
         self._outstanding = self._sync()
         self._sent_at = now
         return self._outstanding
 
     def last_sync(self) -> Envelope:
         """What the coordinator has not been told yet, at the end of the work; answered like any other."""
-        self._sequence += 1
-        self._outstanding = self._sync()
-        self._ending = True
+        self._outstanding = self._sync(last=True)
         return self._outstanding
 
     @property
-    def heard(self) -> bool:
+    def is_answered(self) -> bool:
         """Whether the coordinator has answered the last message."""
         return self._outstanding is None
 
     @property
-    def all_told(self) -> bool:
+    def all_reported(self) -> bool:
         """Whether the newest message holds all that was done, be it answered or not."""
-        done = (self.learner.rollout.interactions, self.learner.gradient_steps)
-        return self._told is not None and (self._told.interactions, self._told.gradient_steps) == done
+        done, newest = (self.learner.rollout.interactions, self.learner.gradient_steps), self._ledger.newest
+        return newest is not None and (newest.interactions, newest.gradient_steps) == done
 
     @property
     def newest_message(self) -> tuple[int, int]:
         """Epoch and number of the newest message."""
-        return self.epoch, self._sequence
+        return self.epoch, self._ledger.sequence
 
     def has_answer_to(self, message: tuple[int, int]) -> bool:
         """Whether the coordinator has answered a ``newest_message``, or one after it, of this very lease."""
         epoch, sequence = message
-        return epoch == self.epoch and sequence <= self._answered
+        return epoch == self.epoch and sequence <= self._ledger.answered
 
-    def _counts_told(self) -> LearnerStats:
-        """Counts that the coordinator has heard of, or will while this lease lasts."""
-        if self._ending and not self.heard:
-            return self._heard or self._told_before
-        return self._all_counts()
-
-    def _sync(self) -> Envelope:
+    def _sync(self, *, last: bool = False) -> Envelope:
+        stats = self._ledger.report(self._all_counts(), last=last)
         progress = self.learner.rollout.take_progress()
         arrays = pack_progress(progress.changes, newest_starts(progress.starts, STARTS_PER_SYNC))
         if self.learner.version > self._sent_version:
@@ -235,17 +219,12 @@ class LearnerSession:
         message = Sync(
             pid=self.pid,
             epoch=self.epoch,
-            sequence=self._sequence,
+            sequence=self._ledger.sequence,
             version=self.learner.version,
             start_cursor=self._start_cursor,
-            stats=self._stats(),
+            stats=stats,
         )
         return Envelope(message, arrays)
-
-    def _stats(self) -> LearnerStats:
-        """Counts since the lease began."""
-        self._told = self._unanswered[self._sequence] = self._all_counts()
-        return counted_since(self._told, self._told_before)
 
     def _all_counts(self) -> LearnerStats:
         rollout, attempts = self.learner.rollout, self.learner.rollout.statistics
@@ -275,21 +254,15 @@ class LearnerSession:
         reply = envelope.message
         if not isinstance(reply, SyncReply) or (reply.pid, reply.epoch) != (self.pid, self.epoch):
             return
-        self._take_answer(reply.accepted_sequence)
+        self._ledger.take_answer(reply.accepted_sequence)
+        if reply.accepted_sequence >= self._ledger.sequence:
+            self._outstanding = None
         if reply.start_cursor > self._start_cursor:
             self._start_cursor = reply.start_cursor
             for q, state in unpack_starts(envelope.arrays, self._dfa_states):
                 self.buffer.add(q, state)
         self.method.load(reply.q_table)
         self.peers = reply.peers
-
-    def _take_answer(self, sequence: int) -> None:
-        """The coordinator has counted all messages up to this one."""
-        self._answered = max(self._answered, sequence)
-        for number in [number for number in self._unanswered if number <= sequence]:
-            self._heard = self._unanswered.pop(number)
-        if sequence >= self._sequence:
-            self._outstanding = None
 
 
 def training_of(granted: Granted) -> tuple[object, ...]:

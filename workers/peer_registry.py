@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from workers.learner_session import LearnerSession
 
 
-class Neighbours:
+class PeerRegistry:
     """Whom the learners of a worker ask for values, and from whose experience they learn.
 
     Args:

@@ -35,16 +35,16 @@ from t4nmtd_dist.wire.zmq_types import new_context
 from workers.control_connection import Arrival, ControlConnection
 from workers.critic_service import CriticService
 from workers.evaluation_work import EvaluationWork
-from workers.lazy_import import Loader, WaitingLease, check_trust
+from workers.lazy_import import HeavyImports, WaitingLease, check_trust
 from workers.loop_watch import LoopWatch, place_of
 from workers.options import CheckpointOptions, WorkerOptions
-from workers.peer_registry import Neighbours
+from workers.peer_registry import PeerRegistry
 from workers.say import say
 from workers.stand_in import STAND_IN, StandIn
 from workers.state import Action, Exit, Print, SendClaim, SendRelease, StartWork, StopWork, WorkerState
 
 if TYPE_CHECKING:
-    from workers.checkpointing import SessionKeeper
+    from workers.checkpointing import LearnerCheckpoints
     from workers.learner_session import LearnerSession
 
 SYNC_INTERVAL_S = 0.2
@@ -88,22 +88,22 @@ class Worker:
             self._keys,
             LoopWatch(self, time.monotonic()),
         )
-        self._neighbours = Neighbours(self._context, options.instance, self._keys, tell=say)
+        self._peer_registry = PeerRegistry(self._context, options.instance, self._keys, tell=say)
         self._evaluation: EvaluationWork | None = None
         self._stand_in = StandIn(options.instance, lambda message: self._send(message, number=STAND_IN), say)
         self._waiting: dict[str, WaitingLease] = {}
-        self._loader = Loader(options.role)
-        self._keeper = None if options.checkpoints is None else self._keep(options.checkpoints)
+        self._imports = HeavyImports(options.role)
+        self._checkpoints = None if options.checkpoints is None else self._checkpoints_in(options.checkpoints)
         self._solved = False
         self._stopped_s = 0.0
         self._exit: Exit | None = None
         self._told: set[str] = set()
         self._interrupted = False
 
-    def _keep(self, checkpoints: CheckpointOptions) -> SessionKeeper:
-        from workers.checkpointing import SessionKeeper
+    def _checkpoints_in(self, checkpoints: CheckpointOptions) -> LearnerCheckpoints:
+        from workers.checkpointing import LearnerCheckpoints
 
-        return SessionKeeper(checkpoints.folder, checkpoints.every_s, say)
+        return LearnerCheckpoints(checkpoints.folder, checkpoints.every_s, say)
 
     def _serve_critics(self) -> CriticService:
         address, connection = self._options.critic, self._connection
@@ -154,15 +154,15 @@ class Worker:
         self._give_back()
         if any(map(_was_taken, sent)):
             self._hear_answers(sessions)
-        if self._keeper is not None and self._solved:
-            self._keeper.delete(sessions)
-        elif self._keeper is not None:
-            self._keeper.finish(sessions)
+        if self._checkpoints is not None and self._solved:
+            self._checkpoints.delete(sessions)
+        elif self._checkpoints is not None:
+            self._checkpoints.write_last(sessions)
 
     def _hear_answers(self, sessions: Sequence[LearnerSession]) -> None:
         """Wait a moment for the answers to the last messages."""
         deadline = time.monotonic() + LAST_ANSWERS_S
-        while (left := deadline - time.monotonic()) > 0 and not all(session.heard for session in sessions):
+        while (left := deadline - time.monotonic()) > 0 and not all(session.is_answered for session in sessions):
             arrival = self._control.receive(left)
             if arrival is None or isinstance(arrival.content, ProtocolError):
                 return
@@ -186,8 +186,8 @@ class Worker:
         for evaluation in (self._evaluation, self._stand_in):
             if evaluation is not None:
                 evaluation.tell()
-        if self._keeper is not None:
-            self._keeper.turn(self._sessions.values())
+        if self._checkpoints is not None:
+            self._checkpoints.write_due(self._sessions.values())
 
     def _discount_stops(self, now: float) -> None:
         """Do not count time in which this process was stopped as the coordinator's silence."""
@@ -214,11 +214,11 @@ class Worker:
 
     def _learn(self) -> bool:
         """One roll-out of every learner that can start; False if none can."""
-        self._neighbours.pull_experience()
+        self._peer_registry.pull_experience()
         trained = []
         for pid, session in self._sessions.items():
             began = time.process_time()
-            trained.append(session.iterate(self._neighbours.peers[pid]))
+            trained.append(session.iterate(self._peer_registry.peers[pid]))
             session.processor_s += time.process_time() - began
         return any(trained)
 
@@ -272,7 +272,7 @@ class Worker:
         if reply.evaluate:
             self._stand_in.invited()
         session.take_reply(envelope)
-        self._neighbours.locate(session)
+        self._peer_registry.locate(session)
         self._critics.allow(peer.key for held in self._sessions.values() for peer in held.peers.values())
 
     def _act(self, actions: Sequence[Action], arrays: Mapping[str, NDArray[Any]]) -> None:
@@ -293,7 +293,7 @@ class Worker:
 
     def _begin(self, granted: Granted, arrays: Mapping[str, NDArray[Any]]) -> None:
         held = self._sessions.get(granted.pid)
-        if held is not None and held.goes_on_in(granted):
+        if held is not None and held.can_go_on_under(granted):
             held.renew(granted)
             return
         if granted.role == "learner":
@@ -309,7 +309,7 @@ class Worker:
     def _end_those_of_another_training(self, granted: Granted) -> None:
         """Learners that outlived their coordinator are of no use to one that trains something else."""
         for pid, session in list(self._sessions.items()):
-            if not session.goes_on_in(granted):
+            if not session.can_go_on_under(granted):
                 say(f"{pid} is over here: the coordinator trains another task now, or with another seed or settings")
                 self._end(pid)
                 if pid != granted.pid:
@@ -317,17 +317,17 @@ class Worker:
 
     def _open_sessions(self) -> None:
         """Start work under the leases that wait for it, as soon as everything is loaded."""
-        if not self._waiting or not self._loader.ready():
+        if not self._waiting or not self._imports.ready():
             return
         for pid, lease in self._waiting.items():
             if lease.granted.role == "evaluator":
                 self._evaluation = EvaluationWork(lease.evaluate(), self._send)
                 continue
             session = lease.learn(self._options.device, say)
-            if self._keeper is not None:
-                self._keeper.go_on(session, lease.granted, lease.arrays)
+            if self._checkpoints is not None:
+                self._checkpoints.resume(session, lease.granted, lease.arrays)
             self._sessions[pid] = session
-            self._neighbours.join(session)
+            self._peer_registry.join(session)
             self._critics.serve(pid, session.learner.published, session.learner.replay_buffer)
         self._waiting.clear()
 
@@ -335,7 +335,7 @@ class Worker:
         self._control.forget(pid)
         self._waiting.pop(pid, None)
         self._sessions.pop(pid, None)
-        self._neighbours.leave(pid)
+        self._peer_registry.leave(pid)
 
     def _give_back(self) -> None:
         epochs = {pid: session.epoch for pid, session in self._sessions.items()}
@@ -350,7 +350,7 @@ class Worker:
 
     def _close(self) -> None:
         self._give_back()
-        self._neighbours.close()
+        self._peer_registry.close()
         self._critics.close()
         self._control.close()
         self._context.term()

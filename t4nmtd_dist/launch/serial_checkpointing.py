@@ -13,7 +13,7 @@ from t4nmtd_dist.runs.directory import RunDirectory
 from t4nmtd_dist.runs.resuming import SERIAL
 
 
-class SerialKeeper:
+class SerialCheckpoints:
     """Keeps what a resume needs of a serial run.
 
     Args:
@@ -35,7 +35,7 @@ class SerialKeeper:
     def _log(self, text: str) -> None:
         self._directory.log_event(self._run.coordinator.elapsed_s, text)
 
-    def go_on(self) -> None:
+    def resume(self) -> None:
         """Let a fresh run go on from the newest checkpoint; what came after that is done, and counted, again.
 
         It comes out exactly as it did before. Without a checkpoint the run begins anew, with the same result.
@@ -52,7 +52,7 @@ class SerialKeeper:
     def _warn(text: str) -> None:
         print(f"t4nmtd: warning: {text}", file=sys.stderr)
 
-    def turn(self) -> None:
+    def write_due(self) -> None:
         """Write a checkpoint if one is due; to be called between two rounds."""
         if time.monotonic() >= self._due and self._run.coordinator.outcome is None:
             self._writer.write(self._folder, self._about, self._run.state_dict())

@@ -12,7 +12,7 @@ from coordinator.run_settings import RunSettings
 from t4nmtd_dist.launch.program import Program
 from t4nmtd_dist.launch.protocol import BUDGET_SPENT, SOLVED, STOPPED, Handle, Supervisor
 from t4nmtd_dist.launch.serial import SerialRun
-from t4nmtd_dist.launch.serial_checkpointing import SerialKeeper
+from t4nmtd_dist.launch.serial_checkpointing import SerialCheckpoints
 from t4nmtd_dist.runs.directory import RunDirectory
 from t4nmtd_dist.runs.resuming import write_identity
 
@@ -51,9 +51,9 @@ class SerialHandle:
             run_id=plan.identity.run_id,
         )
         self._run = SerialRun(program.task, settings, time.monotonic, program.device)
-        self._keeper = SerialKeeper(self._run, self._directory, program.options.checkpoint_every)
+        self._checkpoints = SerialCheckpoints(self._run, self._directory, program.options.checkpoint_every)
         if plan.resumes:
-            self._keeper.go_on()
+            self._checkpoints.resume()
         write_identity(plan.directory, plan.identity)
         self._recorder = RunLogger(self._run.coordinator, self._directory, program.options.tensorboard, _say)
 
@@ -64,7 +64,7 @@ class SerialHandle:
         self._run.round()
         self._record_notes()
         self._recorder.metrics()
-        self._keeper.turn()
+        self._checkpoints.write_due()
         return self._run.coordinator.outcome is None
 
     def _record_notes(self) -> None:
@@ -86,7 +86,7 @@ class SerialHandle:
         if self._program.plan.resumes and outcome == "solved":
             self._recorder.record(Finish("solved", "the result is written now"))
         pause = retry_pauses(lambda: time.sleep(PAUSE_S), self._interrupted)
-        write_result(self._recorder, self._keeper, _say, pause)
+        write_result(self._recorder, self._checkpoints, _say, pause)
         return CODES.get(outcome or "", STOPPED)
 
     def end(self) -> None:
