@@ -97,8 +97,7 @@ class CoordinatorState:
         self.method = task.method()
         self.rng = np.random.default_rng([settings.seed, 2])
         pids = task.decomposition.pids
-        capacity = task.config.learner.start_capacity
-        self.records = {pid: LearnerRecord(InitialStateBuffer(capacity)) for pid in pids}
+        self.records = {pid: LearnerRecord(InitialStateBuffer()) for pid in pids}
         self.leases = LeaseTable(pids, settings.lease_s)
         self.numbers = numbered(pids)
         self.evaluator_lease = LeaseTable([EVALUATOR], settings.lease_s)

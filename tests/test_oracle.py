@@ -11,6 +11,7 @@ from t4nmtd_dist.wire.codec import decode, encode
 from t4nmtd_dist.wire.messages import KINDS
 
 
+@pytest.mark.process
 @pytest.mark.training
 @pytest.mark.timeout(600)
 @pytest.mark.parametrize("task", oracle.SHORTER)
@@ -56,6 +57,7 @@ def test_the_samples_have_every_kind_and_field() -> None:
     assert set(oracle.load("wire.json")) == set(fields)
 
 
+@pytest.mark.process
 @pytest.mark.parametrize("task", oracle.TASKS)
 def test_tasks_compile_to_what_was_recorded(task: str) -> None:
     found = oracle.inspect_json(task)

@@ -106,8 +106,8 @@ def test_what_is_stored_is_what_happened() -> None:
 def test_exploration_is_decided_when_an_attempt_begins_and_at_no_other_time() -> None:
     learner = small_sac("g1", "learner.attempt_steps=4", "sac.learning_starts=400", starts=((START, AT_G1),))
     told: list[tuple[list[bool], float]] = []
-    for exploration in (learner.agent._waves, learner.agent._holds):
-        exploration.begin = lambda copies, success: told.append((copies.tolist(), success))  # type: ignore
+    for kind in (learner.agent._exploration._sinusoid, learner.agent._exploration._held):
+        kind.begin = lambda copies, success: told.append((copies.tolist(), success))  # type: ignore
     learner.iterate(NoPeers())
     learner.iterate(NoPeers())
     assert told[::2] == told[1::2], "both kinds are told the same"
