@@ -84,8 +84,7 @@ class CoordinatorState:
         self.task, self.settings = task, settings
         self.method = task.method()
         self.rng = np.random.default_rng([settings.seed, 2])
-        capacity = task.config.learner.start_capacity
-        self.records = {pid: LearnerRecord(InitialStateBuffer(capacity)) for pid in task.decomposition.pids}
+        self.records = {pid: LearnerRecord(InitialStateBuffer()) for pid in task.decomposition.pids}
         self.clock = RunClock()
         self._log = EventLog(self.clock)
         self._leasing = Leasing(task, settings, self.records, self.clock, self._log)

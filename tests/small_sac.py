@@ -29,7 +29,6 @@ TINY = (
     "sac.learning_starts=50",
     "sac.num_envs=2",
     "sac.replay_rows=400",
-    "sac.steps_per_iteration=10",
     "sac.updates_per_step=1",
 )
 START, TO_G2, ERROR, TO_G3, TO_G4, ACCEPTING = range(6)  # states of the task's automaton, after their next target

@@ -64,7 +64,7 @@ class LearnerSession:
     ) -> None:
         task = compiled_from(granted)
         self.pid, self.epoch = granted.pid, granted.epoch
-        self.buffer = InitialStateBuffer(task.config.learner.start_capacity)
+        self.buffer = InitialStateBuffer()
         self.method = task.method()
         seed = subtask_seed(granted.seed, granted.pid, granted.epoch)
         self.learner = build_learner(task, granted.pid, self.buffer, self.method, seed=seed, device=device)

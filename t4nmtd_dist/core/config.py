@@ -25,7 +25,7 @@ Shaping = Literal["paper", "potential", "subtask"]
 AcceptanceSetting = Literal["auto", "first", "end"]
 InterventionMode = Literal["query", "replica", "local", "off"]
 
-FORMER_KEYS: Mapping[str, str] = {}
+FORMER_KEYS: Mapping[str, str] = {"learner.start_capacity": "it is fixed at 200 now"}
 """Keys of earlier versions outside the agents' sections, and what to use instead."""
 
 RESERVED_NAMES = {"evaluator", "evaluations"}
@@ -112,7 +112,6 @@ class LearnerConfig:
             evaluates a copy of its networks, and both evaluate peers in the learner's own process directly; ``local``
             knows only the latter, and uses the own critic for all others; ``off`` always uses the own critic.
         attempt_steps: steps after which an attempt is cut (a truncation, the critic bootstraps).
-        start_capacity: initial-state buffer entries per DFA state.
         hand_over: which states become start states of the next sub-task: those in which a ``target`` was reached,
             as in the paper, or all in which the DFA changed, so that a critic knows whatever it is asked about.
         hidden: widths of the hidden layers of actor and critic, at least one.
@@ -129,7 +128,6 @@ class LearnerConfig:
     reward_scale: Positive = 0.01
     intervention: InterventionMode = "query"
     attempt_steps: Count = 300
-    start_capacity: Count = 200
     hand_over: Literal["targets", "changes"] = "changes"
     hidden: Widths = (64, 64)
     normalise_observations: Literal["auto", "on", "off"] = "auto"

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 State = NDArray[Any]
 RESET_SHARE = 0.5
+CAPACITY = 200
 
 
 @dataclass(frozen=True)
@@ -31,7 +32,7 @@ class InitialStateBuffer:
         capacity: most entries kept per DFA state; the oldest go first.
     """
 
-    def __init__(self, capacity: int) -> None:
+    def __init__(self, capacity: int = CAPACITY) -> None:
         self._capacity = capacity
         self._entries: dict[int, OrderedDict[bytes, tuple[int, State]]] = {}
         self.cursor = 0

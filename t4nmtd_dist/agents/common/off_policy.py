@@ -24,6 +24,7 @@ from t4nmtd_dist.environments.batched import Observations
 
 Floats = NDArray[np.float32]
 States = NDArray[np.int32]
+STEPS_PER_ITERATION = 10  # of each copy, between two messages to the coordinator
 
 
 class OffPolicyAgent(Protocol):
@@ -138,7 +139,7 @@ class OffPolicyLearner:
         """Some steps of all copies and the updates that they call for; False while there is no state to start from."""
         if not self.rollout.begin():
             return False
-        for _ in range(self._config.steps_per_iteration):
+        for _ in range(STEPS_PER_ITERATION):
             self._step()
             self._owed += self._config.updates_per_step * len(self._begun)
             while self._owed >= 1.0:

@@ -13,10 +13,6 @@ class OffPolicyConfig(Protocol):
         """Copies of the environment stepped together by one learner."""
 
     @property
-    def steps_per_iteration(self) -> int:
-        """Steps of each copy between two messages to the coordinator."""
-
-    @property
     def replay_rows(self) -> int:
         """Experiences kept."""
 

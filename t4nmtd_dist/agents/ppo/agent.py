@@ -28,6 +28,8 @@ from t4nmtd_dist.environments.batched import Observations
 from t4nmtd_dist.method.protocol import Mask
 
 Floats = NDArray[np.float32]
+GAE_LAMBDA = 0.95
+SUCCESSFUL_ENTROPY_COEFFICIENT = 0.005  # once every attempt succeeds
 PATIENCE_S = 0.2  # for the answers to what was asked in the last steps of a trajectory
 
 
@@ -123,7 +125,7 @@ class PPOLearner:
             next_values,
             self.trajectory.cut,
             gamma=self._context.settings.gamma,
-            gae_lambda=self._config.gae_lambda,
+            gae_lambda=GAE_LAMBDA,
         )
         returns = (advantages + values).reshape(-1)
         self._update.epochs(self.trajectory, advantages.reshape(-1), returns, self._entropy_coefficient())
@@ -144,9 +146,9 @@ class PPOLearner:
         return values, bootstrap_values(trajectory, values, own[len(flat) :], boundary_values, answers)
 
     def _entropy_coefficient(self) -> float:
-        """Exploration gives way to exploitation as attempts succeed: linear between the two settings."""
+        """Exploration gives way to exploitation as attempts succeed: linear in the share that does."""
         success = self.rollout.statistics.recent_success or 0.0
-        low, high = self._config.entropy_coefficient_successful, self._config.entropy_coefficient
+        low, high = SUCCESSFUL_ENTROPY_COEFFICIENT, self._config.entropy_coefficient
         return high + (low - high) * success
 
     def losses(self) -> tuple[float | None, float | None]:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 
-from t4nmtd_dist.core.setting_types import Count, Positive, Share
+from t4nmtd_dist.core.setting_types import Count, NotNegative, Positive
 
 
 @dataclass(frozen=True)
@@ -18,10 +18,6 @@ class PPOConfig:
         epochs: passes over the roll-out.
         minibatch: rows of one gradient step.
         entropy_coefficient: weight of the entropy bonus of a learner without success.
-        entropy_coefficient_successful: weight once every attempt succeeds; linear in the recent success between.
-        gae_lambda: lambda of generalised advantage estimation.
-        advantage_floor: advantages are divided by their standard deviation, but by no less than this, so that the
-            noise of a roll-out without reward is not blown up into a policy.
     """
 
     num_envs: Count = 16
@@ -29,16 +25,18 @@ class PPOConfig:
     epochs: Count = 6
     minibatch: Count = 256
     learning_rate: Positive = 1e-3
-    clip: float = 0.2
-    entropy_coefficient: float = 0.15
-    entropy_coefficient_successful: float = 0.005
-    value_coefficient: float = 0.5
-    gae_lambda: Share = 0.95
-    max_grad_norm: float = 0.5
-    advantage_floor: float = 0.1
+    entropy_coefficient: NotNegative = 0.15
 
 
 CONFIG = PPOConfig
 ACTIONS = "discrete"
 EXPLORATION = ("ppo.entropy_coefficient",)
-FORMER_KEYS: Mapping[str, str] = {"worlds": "it is called 'ppo.num_envs' now"}
+FORMER_KEYS: Mapping[str, str] = {
+    "worlds": "it is called 'ppo.num_envs' now",
+    "clip": "it is fixed at 0.2 now",
+    "entropy_coefficient_successful": "it is fixed at 0.005 now",
+    "value_coefficient": "it is fixed at 0.5 now",
+    "gae_lambda": "it is fixed at 0.95 now",
+    "max_grad_norm": "it is fixed at 0.5 now",
+    "advantage_floor": "it is fixed at 0.1 now",
+}

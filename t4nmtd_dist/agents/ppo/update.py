@@ -17,6 +17,13 @@ from t4nmtd_dist.agents.ppo.trajectory import Trajectory
 
 Floats = NDArray[np.float32]
 
+CLIP = 0.2
+VALUE_COEFFICIENT = 0.5
+MAX_GRAD_NORM = 0.5
+ADVANTAGE_FLOOR = 0.1
+"""Advantages are divided by their standard deviation, but by no less than this, so that the noise of a trajectory
+without reward is not blown up into a policy."""
+
 
 class PPOUpdate:
     """Changes the networks by PPO's epochs over a trajectory.
@@ -48,7 +55,7 @@ class PPOUpdate:
                 self._gradient_step(*(column[rows] for column in columns), entropy_coefficient=entropy_coefficient)
 
     def _normalised(self, advantages: Floats) -> Floats:
-        spread = max(float(advantages.std()), self._config.advantage_floor)
+        spread = max(float(advantages.std()), ADVANTAGE_FLOOR)
         normal: Floats = (advantages - advantages.mean()) / spread
         return normal
 
@@ -62,16 +69,15 @@ class PPOUpdate:
         *,
         entropy_coefficient: float,
     ) -> None:
-        config = self._config
         all_log_probs = torch.log_softmax(self._network.actor(states), -1)
         log_probs = all_log_probs.gather(1, actions[:, None]).squeeze(1)
-        policy_loss = clipped_surrogate(log_probs, old_log_probs, advantages, config.clip)
+        policy_loss = clipped_surrogate(log_probs, old_log_probs, advantages, CLIP)
         entropy = entropy_of(all_log_probs)
         critic_loss = value_loss(self._network.value(states), returns)
-        loss = policy_loss + config.value_coefficient * critic_loss - entropy_coefficient * entropy
+        loss = policy_loss + VALUE_COEFFICIENT * critic_loss - entropy_coefficient * entropy
         self._optimiser.gradient.zero_()
         loss.backward()  # type: ignore[no-untyped-call]
-        nn.utils.clip_grad_norm_(self._network.parameters(), config.max_grad_norm)
+        nn.utils.clip_grad_norm_(self._network.parameters(), MAX_GRAD_NORM)
         self._optimiser.step()
         self.gradient_steps += 1
         self.losses = entropy.detach(), critic_loss.detach()

@@ -16,6 +16,7 @@ from t4nmtd_dist.agents.common.off_policy import OffPolicyLearner
 from t4nmtd_dist.agents.common.peer_values import PeerValues, Values
 from t4nmtd_dist.agents.sac.config import SACConfig
 from t4nmtd_dist.agents.sac.fast_cpu.update import SACUpdater
+from t4nmtd_dist.agents.sac.shapes import LAYER_NORM
 from t4nmtd_dist.agents.sac.soft_critic import SoftCritic
 from t4nmtd_dist.agents.sac.torch_update import TorchSACUpdater
 from t4nmtd_dist.agents.sac.updater import PeerSoftValues, SACSettings, SoftActorCritic
@@ -25,6 +26,7 @@ from t4nmtd_dist.core.state_dict import State
 from t4nmtd_dist.method.rewards import TARGET_REWARD
 
 Floats = NDArray[np.float32]
+TAU = 0.005  # step of the target networks
 
 
 def build(context: AgentContext) -> OffPolicyLearner:
@@ -74,10 +76,10 @@ class SAC:
         self._initial_alpha = config.initial_alpha or modest_alpha(context.settings, self.action_size)
         settings = SACSettings(
             learning_rate=config.learning_rate,
-            tau=config.tau,
+            tau=TAU,
             actor_average=config.actor_average,
             initial_alpha=self._initial_alpha,
-            layer_norm=config.layer_norm,
+            layer_norm=LAYER_NORM,
             hidden=context.settings.hidden,
         )
         self.updater = updater_on(context.device, self._inputs, self.action_size, settings, context.seed)

@@ -17,7 +17,6 @@ class SACConfig:
 
     Attributes:
         num_envs: copies of the environment stepped together by one learner.
-        steps_per_iteration: steps of each copy between two messages to the coordinator.
         replay_rows: experiences kept.
         learning_starts: experiences before the first update.
         batch: rows of one update.
@@ -37,14 +36,11 @@ class SACConfig:
             for ever is worth as much as one target.
         alpha_floor: share of ``initial_alpha`` below which that of a learner without success does not fall; it goes
             to 0 with the square of the share of attempts that fail.
-        tau: step of the target networks.
         actor_average: share of the actor that enters, at each of its updates, the running average of its weights
             that is evaluated and exported; 1 for the actor as it is (docs/decisions/015).
-        layer_norm: layer normalisation in the critics.
     """
 
     num_envs: Count = 4
-    steps_per_iteration: Count = 10
     replay_rows: Count = 300_000
     learning_starts: CountOrZero = 1000
     batch: Count = 256
@@ -59,9 +55,7 @@ class SACConfig:
     learning_rate_decay: Share = 0.0
     initial_alpha: NotNegative = 0.0
     alpha_floor: Share = 1.0
-    tau: PositiveShare = 0.005
     actor_average: PositiveShare = 0.005
-    layer_norm: bool = True
 
 
 CONFIG = SACConfig
@@ -78,6 +72,9 @@ LEARNER_DEFAULTS: Mapping[str, Any] = {
 FORMER_KEYS: Mapping[str, str] = {
     "worlds": "it is called 'sac.num_envs' now",
     "wave_share": 'use sac.exploration = "sinusoid" or "held+sinusoid" with \'sac.exploration_share\'',
+    "steps_per_iteration": "it is fixed at 10 now",
+    "tau": "it is fixed at 0.005 now",
+    "layer_norm": "critics are always layer-normalised now",
     "hold_share": 'use sac.exploration = "held" or "held+sinusoid" with \'sac.exploration_share\'',
 }
 
