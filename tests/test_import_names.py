@@ -45,7 +45,7 @@ def test_modules_in_the_current_folder_are_not_taken_for_ours(processes: Process
         path.parent.mkdir(exist_ok=True)
         path.write_text(FOREIGN, encoding="utf-8")
     started = processes.start("t4nmtd", "train", "--task", "task7", "--run-dir", "run", *SHORT)
-    assert started.wait(60) in (0, 3), started.story()
+    assert started.wait(110) in (0, 3), started.story()
 
 
 def test_every_program_starts_with_the_check() -> None:
