@@ -29,15 +29,15 @@ $(STAMP): pyproject.toml constraints.txt deploy/setup.sh
 run: $(STAMP) ## train TASK (task7) with local processes and the dashboard until it is solved
 	@$(BIN)/t4nmtd train --task $(TASK) $(ARGS)
 
-# Tests that start processes measure times and memory: they run one after the other. pytest's exit code 5 means that no
+# Tests with programs beside them have deadlines: they run one after the other. pytest's exit code 5 means that no
 # test was chosen, as when ARGS names a file that has tests of one kind only.
-test: $(STAMP) ## run all tests: on TEST_CORES cores, then those that start processes one after the other
+test: $(STAMP) ## run all tests: on TEST_CORES cores, then those with programs beside them one after the other
 	@$(PYTEST) -m "not process" $(PARALLEL) $(ARGS); parallel=$$?; \
 	$(PYTEST) -m process $(ARGS); serial=$$?; \
 	case "$$parallel $$serial" in "0 0" | "0 5" | "5 0") ;; *) exit 1 ;; esac
 
-test-fast: $(STAMP) ## run the tests that start no process and train nothing
-	@$(PYTEST) -m "not process and not training" $(PARALLEL) $(ARGS)
+test-fast: $(STAMP) ## run the tests that start no program, train nothing and take no longer than two seconds
+	@$(PYTEST) -m "not (process or command or training or slow)" $(PARALLEL) $(ARGS)
 
 lint: $(STAMP) ## check style, formatting, and which package may import which
 	@$(BIN)/ruff check

@@ -9,6 +9,7 @@ from collections.abc import Generator, Iterator
 from pathlib import Path
 from typing import Any
 
+import hypothesis
 import pytest
 import torch
 from processes import Processes
@@ -18,6 +19,7 @@ from t4nmtd_dist.wire.zmq_types import Context, new_context
 from workers.critic_service import CriticService
 
 PROCESS_FIXTURES = {"processes", "attacked", "held"}
+MARKERS = ("command", "process")
 OUR_CODE = re.compile(r"(?:^|import |from )(?:t4nmtd_dist|coordinator|workers|envs)\b")
 _running: list[pytest.Item] = []
 
@@ -29,6 +31,9 @@ def pytest_configure() -> None:
             signal.signal(number, default)
     torch.set_num_threads(1)  # as in every process of a run; two test processes would compete for the cores
     sys.addaudithook(_check_marked)
+    # Examples have no deadline of their own, since tests share the cores: the timeout is that of the whole test.
+    hypothesis.settings.register_profile("project", deadline=None)
+    hypothesis.settings.load_profile("project")
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
@@ -49,11 +54,11 @@ def pytest_runtest_protocol(item: pytest.Item) -> Generator[None, Any, Any]:
 
 
 def _check_marked(event: str, arguments: tuple[Any, ...]) -> None:
-    """Refuse to start a program of ours in a test that is not marked with ``process``."""
-    if event == "subprocess.Popen" and _running and not _running[0].get_closest_marker("process"):
+    """Refuse to start a program of ours in a test that is marked with neither ``command`` nor ``process``."""
+    if event == "subprocess.Popen" and _running and not any(map(_running[0].get_closest_marker, MARKERS)):
         program, *rest = map(str, arguments[1])
         if Path(program).name.startswith("t4nmtd") or any(OUR_CODE.search(argument) for argument in rest):
-            raise RuntimeError(f"this test starts {program}: mark it with pytest.mark.process")
+            raise RuntimeError(f"this test starts {program}: mark it with pytest.mark.command or process")
 
 
 @pytest.fixture(autouse=True, scope="session")

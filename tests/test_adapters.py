@@ -412,6 +412,7 @@ TREES = st.recursive(
 
 
 @given(value=TREES, other=TREES)
+@pytest.mark.slow
 def test_plain_data_comes_back_whatever_was_there(value: Any, other: Any) -> None:
     packed = encode_state(value)
     fresh = decode_state(packed, other)

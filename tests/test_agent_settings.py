@@ -90,7 +90,7 @@ def test_auto_takes_the_first_agent_that_takes_the_actions(monkeypatch: pytest.M
 
 
 @pytest.mark.parametrize("name", AGENTS.names())
-@pytest.mark.process
+@pytest.mark.command
 def test_settings_are_read_without_torch(name: str) -> None:
     code = f"import sys, {AGENTS.modules[name]}.config; sys.exit('torch' in sys.modules)"
     assert subprocess.run([sys.executable, "-c", code], timeout=60).returncode == 0

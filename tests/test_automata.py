@@ -283,7 +283,7 @@ def test_step_takes_under_two_microseconds() -> None:
     assert fastest < 2e-6
 
 
-@pytest.mark.process
+@pytest.mark.command
 def test_import_of_the_translator_is_cheap() -> None:
     code = "import sys, t4nmtd_dist.automata.translate; print(*sys.modules)"
     loaded = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout.split()

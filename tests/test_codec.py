@@ -426,6 +426,7 @@ def test_a_sender_has_a_printable_name(sender: str) -> None:
         decode([header(sender=sender)])
 
 
+@pytest.mark.slow
 def test_hidden_characters_are_those_that_unicode_calls_so() -> None:
     category = {c: unicodedata.category(c) for c in map(chr, range(sys.maxunicode + 1))}
     refused = {c for c in category if not re.search(PRINTABLE, c)}

@@ -11,7 +11,7 @@ import pytest
 
 from t4nmtd_dist import __version__
 
-pytestmark = pytest.mark.process
+pytestmark = pytest.mark.command
 
 MODULES = {
     "t4nmtd": "t4nmtd_dist.cli.main",

@@ -112,7 +112,7 @@ def test_files_are_written_if_the_package_is_there_and_not_if_unwanted(tmp_path:
     assert list(tmp_path.iterdir()) == []
 
 
-@pytest.mark.process
+@pytest.mark.command
 def test_writing_needs_neither_torch_nor_tensorflow() -> None:
     code = (
         "import sys; from pathlib import Path; from t4nmtd_dist.runs.event_files import open_event_files\n"

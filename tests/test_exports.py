@@ -42,7 +42,7 @@ def about(run: Path) -> dict[str, Any]:
 # Without torch
 
 
-@pytest.mark.process
+@pytest.mark.command
 def test_a_coordinator_exports_and_reads_policies_without_torch() -> None:
     code = "import sys, t4nmtd_dist.policy.export; assert not {'torch', 'gymnasium'} & set(sys.modules)"
     subprocess.run([sys.executable, "-c", code], check=True)

@@ -253,7 +253,7 @@ def test_worlds_are_registered_without_a_step_limit_and_only_once() -> None:
     assert batch.step([RIGHT] * 3)[0] in batch.observation_space
 
 
-@pytest.mark.process
+@pytest.mark.command
 def test_an_id_naming_the_package_needs_no_import_and_loads_nothing_heavy() -> None:
     program = (
         "import sys, gymnasium; gymnasium.make('envs:t4nmtd/FrozenLake-v0').reset(); "

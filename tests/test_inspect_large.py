@@ -34,6 +34,7 @@ def inspected(capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatc
 
 
 @pytest.mark.parametrize("goals", [TEN[:6], TEN[:8]])
+@pytest.mark.slow
 def test_the_summary_of_a_large_automaton_fits_on_a_screen(
     goals: str, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -91,6 +92,7 @@ def test_a_summary_with_more_is_a_contradiction(options: dict[str, bool]) -> Non
 
 
 @pytest.mark.parametrize("translator", ["mona", "python"])
+@pytest.mark.slow
 def test_ten_unordered_goals_are_answered_in_time(
     translator: Any, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -101,6 +103,7 @@ def test_ten_unordered_goals_are_answered_in_time(
     assert len(page.splitlines()) <= 40
 
 
+@pytest.mark.slow
 def test_ten_unordered_goals_compile() -> None:
     data = load_task("task7").to_dict() | {"formula": unordered(TEN), "propositions": list(TEN)}
     compiled = compile_task(task_config(data))

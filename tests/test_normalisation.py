@@ -316,6 +316,7 @@ def run_of_winding(setting: str, folder: Path) -> SerialRun:
     return run
 
 
+@pytest.mark.training
 def test_large_numbers_are_learned_from_with_normalisation_and_not_without(tmp_path: Path) -> None:
     """With it the first two evaluations are perfect (seeds 0 to 5); without it none is after ten times as long."""
     on, off = run_of_winding("on", tmp_path), run_of_winding("off", tmp_path)

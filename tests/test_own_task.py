@@ -78,6 +78,7 @@ def test_further_folders_are_searched_after_the_task_files_own(path: str, tmp_pa
         import_module("no_such", config)
 
 
+@pytest.mark.slow
 def test_random_actions_hardly_ever_succeed() -> None:
     task, count = example(), 100
     env = make_env(task.config.environment, count, task.config.propositions)
@@ -94,7 +95,7 @@ def test_random_actions_hardly_ever_succeed() -> None:
     assert np.mean(accepted) <= 0.05
 
 
-@pytest.mark.process
+@pytest.mark.command
 def test_a_worker_elsewhere_goes_on_where_another_arrived(tmp_path: Path) -> None:
     """Another process, in another folder, that knows only what the coordinator sends it."""
     config = prepared(example()).config
@@ -245,7 +246,7 @@ def test_the_packages_own_tasks_are_checked_if_changed_in_what_they_need(
         prepared(compile_task(load_task(name, flags=flags), translator="python"))
 
 
-@pytest.mark.process
+@pytest.mark.command
 def test_preparing_one_of_the_packages_own_tasks_imports_nothing_heavy() -> None:
     code = """
 import sys

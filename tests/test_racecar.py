@@ -227,6 +227,7 @@ def test_walls_agree_with_exact_arithmetic(state: NDArray[np.float64], move: tup
 
 @settings(max_examples=60)
 @given(snapshots(), forces)
+@pytest.mark.slow
 def test_every_step_follows_the_specification(state: NDArray[np.float64], actions: list[Any]) -> None:
     env = RacecarEnv()
     expected = state.tolist()

@@ -170,7 +170,7 @@ def test_a_broken_import_contract_is_noticed(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("program", PROGRAMS)
-@pytest.mark.process
+@pytest.mark.command
 def test_help_imports_nothing_heavy(program: str) -> None:
     code = f"""
 import sys

@@ -192,6 +192,7 @@ fields = st.fixed_dictionaries(
 
 
 @given(counts=st.binary() | fields, told=st.binary() | fields)
+@pytest.mark.slow
 def test_whatever_counts_and_summary_hold_a_resume_goes_on(
     counts: object, told: object, tmp_path_factory: pytest.TempPathFactory
 ) -> None:

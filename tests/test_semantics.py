@@ -113,6 +113,7 @@ def test_python_automaton_accepts_exactly_the_models(text: str) -> None:
 @example("a -> b -> c")
 @example("X(a) <-> WX(b) <-> last")
 @example("!(last) & (a R b R c)")
+@pytest.mark.slow
 def test_mona_and_python_build_the_same_automaton(text: str) -> None:
     by_mona, by_python = translated(text, "mona"), translated(text, "python")
     assert by_mona == by_python

@@ -127,6 +127,7 @@ def test_a_ball_that_a_wall_stops_within_reach_is_touched() -> None:
 
 
 @given(st.data(), colour_counts, commands)
+@pytest.mark.slow
 def test_every_step_follows_the_specification(
     data: st.DataObject, colours: int, actions: list[tuple[float, float]]
 ) -> None:
@@ -141,6 +142,7 @@ def test_every_step_follows_the_specification(
 
 
 @pytest.mark.parametrize("colours", [6, 8])
+@pytest.mark.slow
 def test_ten_thousand_random_steps_follow_the_specification_within_all_ranges(colours: int) -> None:
     count = 10
     raw = WaterworldVectorEnv(count, colours=colours, observation="raw", map="random")
@@ -184,6 +186,7 @@ def test_a_restored_snapshot_has_the_same_future_bit_for_bit(
 
 @settings(max_examples=30)
 @given(st.data(), colour_counts, observations)
+@pytest.mark.slow
 def test_the_batch_steps_as_single_worlds_do(data: st.DataObject, colours: int, observation: Any) -> None:
     starts = np.array(data.draw(st.lists(snapshots(colours), min_size=1, max_size=4)))
     count = len(starts)
@@ -266,7 +269,7 @@ def test_the_world_is_registered_with_its_batch_and_without_a_step_limit() -> No
     assert batch.step(batch.action_space.sample())[0] in batch.observation_space
 
 
-@pytest.mark.process
+@pytest.mark.command
 def test_registering_imports_no_physics() -> None:
     program = "import sys, envs; print([m for m in ('pymunk', 'mujoco', 'PIL') if m in sys.modules])"
     done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, timeout=60)

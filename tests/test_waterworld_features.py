@@ -45,6 +45,7 @@ def test_features_as_computed_by_hand() -> None:
 
 
 @given(st.data(), colour_counts, commands)
+@pytest.mark.slow
 def test_flags_foretell_the_labels_of_the_next_two_steps(
     data: st.DataObject, colours: int, actions: list[tuple[float, float]]
 ) -> None:
@@ -88,6 +89,7 @@ def test_some_command_touches_a_ball_that_is_said_to_be_within_reach(data: st.Da
 
 
 @given(st.data(), colour_counts, st.tuples(command, command))
+@pytest.mark.slow
 def test_no_command_touches_a_colour_of_which_no_ball_is_within_reach(
     data: st.DataObject, colours: int, action: tuple[float, float]
 ) -> None:
