@@ -153,7 +153,7 @@ def test_without_a_start_state_nothing_moves() -> None:
     assert (learner.rollout.interactions, learner.gradient_steps, learner.version) == (0, 0, 0)
 
 
-@settings(max_examples=20)
+@settings(max_examples=20, deadline=None)
 @given(st.lists(st.lists(st.integers(0, 5), min_size=WORLDS, max_size=WORLDS), min_size=1, max_size=40))
 def test_interactions_are_steps_times_copies(actions: list[list[int]]) -> None:
     rollout = rollout_of("p2", "learner.attempt_steps=7")
@@ -170,7 +170,7 @@ def test_roll_outs_count_every_step_of_every_copy() -> None:
         assert learner.rollout.interactions == rounds * 3 * 11
 
 
-@settings(max_examples=20)
+@settings(max_examples=20, deadline=None)
 @given(st.lists(st.lists(st.integers(0, 5), min_size=WORLDS, max_size=WORLDS), min_size=1, max_size=60))
 def test_what_is_told_adds_up(actions: list[list[int]]) -> None:
     """Every attempt that ended is in the progress, and the steps told never exceed those made."""
@@ -190,7 +190,7 @@ def test_what_is_told_adds_up(actions: list[list[int]]) -> None:
     assert rollout.take_progress().changes == []
 
 
-@settings(max_examples=20)
+@settings(max_examples=20, deadline=None)
 @given(st.lists(st.lists(st.integers(0, 5), min_size=WORLDS, max_size=WORLDS), min_size=1, max_size=40))
 @pytest.mark.parametrize("shaping", ["paper", "potential", "subtask"])
 def test_a_step_pays_the_same_when_it_is_made_and_when_it_is_replayed(shaping: str, actions: list[list[int]]) -> None:

@@ -435,9 +435,6 @@ def test_all_peers_together_are_kept_as_long_as_the_own_experience() -> None:
     assert small_sac("g1", "sac.peer_share=0.0").peer_steps == 0
 
 
-# What peers found by chance
-
-
 @pytest.mark.parametrize(("success", "least", "most"), [(0.0, 0.8, 0.95), (0.5, 0.2, 0.35), (1.0, 0.0, 0.05)])
 def test_a_learner_that_fails_reads_more_of_the_rows_in_which_it_would_have_succeeded(
     success: float, least: float, most: float

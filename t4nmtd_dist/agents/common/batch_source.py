@@ -52,7 +52,7 @@ class BatchSource:
         reading = method.reads(pid)
         self._readable = reading.q
         self.reads_peers = reading.rows == "all" and config.peer_share > 0
-        self._finds = WeakKeyDictionary[ReplayBuffer, PeerSuccesses]()
+        self._peer_successes = WeakKeyDictionary[ReplayBuffer, PeerSuccesses]()
         self.others: Mapping[str, ReplayBuffer] = {}
 
     def peers_experience(self) -> list[ReplayBuffer]:
@@ -108,15 +108,15 @@ class BatchSource:
         experience = others[int(self._rng.choice(len(others), p=lengths / lengths.sum()))]
         rows = experience.sample(size, 0.0, self._rng)
         wanted = round(size * self._config.success_share * (1.0 - success) ** 2)
-        if wanted and len(finds := self._finds_in(experience)):
+        if wanted and len(finds := self._successes_of(experience)):
             rows[:wanted] = finds[self._rng.integers(len(finds), size=wanted)]
         return self.reader.read(experience, rows, self._any_state(size))
 
-    def _finds_in(self, experience: ReplayBuffer) -> RowNumbers:
-        finds = self._finds.get(experience)
+    def _successes_of(self, experience: ReplayBuffer) -> RowNumbers:
+        finds = self._peer_successes.get(experience)
         if finds is None:
             finds = PeerSuccesses(target_symbols(self.reader.tables, self.reader.delta))
-            self._finds[experience] = finds
+            self._peer_successes[experience] = finds
         return finds.rows(experience)
 
     def _any_state(self, size: int) -> States:

@@ -1,6 +1,6 @@
 """Running normalisation: observations brought to mean 0 and variance 1 in front of a learner's networks.
 
-Every learner has statistics of its own, of what it observed in its own attempts. ReplayBuffer, questions to peers and
+Every learner has statistics of its own, of what it observed in its own attempts. Replay buffers, questions to peers and
 start states hold observations as the environment gave them.
 """
 
