@@ -14,6 +14,7 @@ from coordinator.stand_ins import StandIns
 from t4nmtd_dist.core.invariants import require
 from t4nmtd_dist.method.compiled import CompiledTask
 from t4nmtd_dist.method.high_level import QEntries
+from t4nmtd_dist.method.start_states import CAPACITY
 from t4nmtd_dist.wire.messages import EventLine, LearnerStats
 from t4nmtd_dist.wire.statistics import by_name, declared
 
@@ -75,14 +76,14 @@ def _out_of_bounds(stats: LearnerStats) -> str:
 
 def check_buffer(pid: str, record: LearnerRecord, task: CompiledTask) -> None:
     """An initial-state buffer is bounded and holds states only from which its sub-task can go on."""
-    buffer, capacity = record.buffer, task.config.learner.start_capacity
+    buffer = record.buffer
     require(len(buffer) <= buffer.cursor, "{}: {} start states numbered up to {}", pid, len(buffer), buffer.cursor)
     for q in buffer.states_present():
         where, count = (pid, q), buffer.count(q)
         require(q in range(task.dfa.states), "start states {}: no such DFA state", where)
         require(q not in task.terminal, "start states {}: the DFA state is terminal", where)
         require(pid in task.decomposition.available(q), "start states {}: the sub-task is not available there", where)
-        require(count <= capacity, "start states {}: {}, at most {} are kept", where, count, capacity)
+        require(count <= CAPACITY, "start states {}: {}, at most {} are kept", where, count, CAPACITY)
 
 
 def check_q_table(entries: QEntries, task: CompiledTask) -> None:

@@ -15,6 +15,7 @@ from hypothesis import strategies as st
 
 from coordinator.state import CoordinatorState
 from t4nmtd_dist.core.invariants import InvariantError, Monotone
+from t4nmtd_dist.method.start_states import CAPACITY
 from t4nmtd_dist.wire.messages import (
     EvaluationJob,
     EvaluationPoll,
@@ -86,7 +87,7 @@ def numbered_too_low(state: CoordinatorState) -> None:
 def overfull(state: CoordinatorState) -> None:
     buffer = state.records["g"].buffer
     buffer._capacity = 10**9
-    for number in range(state.task.config.learner.start_capacity + 1):
+    for number in range(CAPACITY + 1):
         buffer.add(1, np.array([number]))
 
 
