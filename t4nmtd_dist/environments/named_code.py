@@ -8,6 +8,7 @@ from typing import Any
 
 from t4nmtd_dist.core.config import EnvironmentConfig
 from t4nmtd_dist.tasks import load_task, task_names
+from t4nmtd_dist.tasks.given import is_given
 
 
 def code_named(config: EnvironmentConfig) -> list[str]:
@@ -15,14 +16,15 @@ def code_named(config: EnvironmentConfig) -> list[str]:
 
     Nothing can be where the id is that of a bundled task, or a plain id, which gymnasium opens only if an installed
     package has registered it. A plain id with text among its options counts as naming code: installed environments
-    take names of modules and of files (shimmy's ``env_id = "module:id"``, MuJoCo's ``xml_file``).
+    take names of modules and of files (shimmy's ``env_id = "module:id"``, MuJoCo's ``xml_file``). Objects of the process
+    (``tasks.given``) are the user's own.
 
     Returns:
         One ``setting = value`` each, with every character that is not printable escaped.
     """
-    bundled = config.id in bundled_ids()
+    bundled = config.id in bundled_ids() or is_given(config.id)
     text = any(isinstance(value, str) for value in _leaves(config.options))
-    if not config.labels and (bundled or (":" not in config.id and not text)):
+    if (not config.labels or is_given(config.labels)) and (bundled or (":" not in config.id and not text)):
         return []
     settings = {"id": config.id, "labels": config.labels, "options": config.options}
     named = [f"environment.{key} = {value!r}" for key, value in settings.items() if value]

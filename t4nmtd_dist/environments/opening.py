@@ -1,4 +1,4 @@
-"""Open what a task file names: a registered Gymnasium id, ``module:id``, or ``module:callable``."""
+"""Open what a task names: a registered Gymnasium id, ``module:id``, ``module:callable``, or an object of the process."""
 
 from __future__ import annotations
 
@@ -17,6 +17,7 @@ from t4nmtd_dist.core.errors import EnvError
 from t4nmtd_dist.environments.named_code import code_named
 from t4nmtd_dist.environments.task_modules import OUR_WORLDS, explained, import_task_module
 from t4nmtd_dist.environments.user_errors import calls, described
+from t4nmtd_dist.tasks.given import GIVEN, given, is_given
 
 Env = gym.Env[Any, Any]
 Spec = gym.envs.registration.EnvSpec
@@ -62,11 +63,13 @@ def _takes_render_mode(maker: Callable[..., Any]) -> bool:
 
 
 def find_spec(config: EnvironmentConfig) -> Spec | None:
-    """The registration behind an id; None if the id is ``module:callable``.
+    """The registration behind an id; None if the id is ``module:callable`` or ``python:NAME``.
 
     Raises:
         EnvError: if there is neither.
     """
+    if is_given(config.id):
+        return None
     module_name, _, name = config.id.rpartition(":")
     ours = config.id.startswith(OUR_WORLDS)
     place = dataclasses.replace(config, path="") if ours else config
@@ -91,6 +94,8 @@ def import_function(text: str, config: EnvironmentConfig, key: str) -> Callable[
     Raises:
         EnvError: if there is no such function.
     """
+    if is_given(text):
+        return _given(text, key)
     module_name, colon, name = text.partition(":")
     if not colon or not module_name or not name:
         raise EnvError(f"{key} = {text!r}: expected module:function")
@@ -99,6 +104,16 @@ def import_function(text: str, config: EnvironmentConfig, key: str) -> Callable[
     if not callable(function):
         raise EnvError(f"{key} = {text!r}: {_place(module)} has no function {name!r}")
     return function  # type: ignore[no-any-return]
+
+
+def _given(text: str, key: str) -> Callable[..., Any]:
+    found = given(text)
+    if found is None:
+        raise EnvError(
+            f"{key} = {text!r}: this process has no such object; it was defined in a Python session or a script. Put "
+            f"it into a module and name that (module:{text.removeprefix(GIVEN)}), or continue in that session"
+        )
+    return found
 
 
 def import_module(name: str, config: EnvironmentConfig) -> ModuleType:

@@ -1,0 +1,39 @@
+"""Python objects that a task names in place of an importable function: environments and labelling functions.
+
+A function defined in a notebook or in the script that is running cannot be imported by its name. ``Task`` registers it
+here and writes ``python:NAME`` into the settings. The table is a property of the process: processes forked from it have
+the same entries, all others refuse such a task.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+GIVEN = "python:"
+
+_objects: dict[str, Callable[..., Any]] = {}
+
+
+def give(function: Callable[..., Any]) -> str:
+    """Register ``function``; the setting that stands for it.
+
+    The same function gets the same name again. Another one of that name gets a number.
+    """
+    plain = getattr(function, "__name__", type(function).__name__)
+    number, name = 1, plain
+    while _objects.get(name, function) is not function:
+        number += 1
+        name = f"{plain}-{number}"
+    _objects[name] = function
+    return GIVEN + name
+
+
+def is_given(setting: str) -> bool:
+    """Whether a setting stands for an object of the process that wrote it."""
+    return setting.startswith(GIVEN)
+
+
+def given(setting: str) -> Callable[..., Any] | None:
+    """The object behind a setting; None if this process has none of that name."""
+    return _objects.get(setting.removeprefix(GIVEN))
