@@ -11,8 +11,9 @@ from typing import Any
 import gymnasium
 
 from t4nmtd_dist.automata.formula import names_in_order
-from t4nmtd_dist.core.config import TaskConfig, merge, task_config
+from t4nmtd_dist.core.config import TaskConfig, task_config
 from t4nmtd_dist.core.errors import ConfigError
+from t4nmtd_dist.core.setting_sources import merge
 from t4nmtd_dist.tasks import from_layers, task_file
 from t4nmtd_dist.tasks.given import give, is_given
 from t4nmtd_dist.tasks.layers import Layer, setting_layers

@@ -78,6 +78,7 @@ METHODS = Registry(
 LAUNCHERS = Registry(
     "launcher",
     {
+        "forked": "t4nmtd_dist.launch.forked",
         "local": "t4nmtd_dist.launch.local",
         "serial": "t4nmtd_dist.launch.serial_launcher",
     },

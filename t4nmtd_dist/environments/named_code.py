@@ -16,8 +16,8 @@ def code_named(config: EnvironmentConfig) -> list[str]:
 
     Nothing can be where the id is that of a bundled task, or a plain id, which gymnasium opens only if an installed
     package has registered it. A plain id with text among its options counts as naming code: installed environments
-    take names of modules and of files (shimmy's ``env_id = "module:id"``, MuJoCo's ``xml_file``). Objects of the process
-    (``tasks.given``) are the user's own.
+    take names of modules and of files (shimmy's ``env_id = "module:id"``, MuJoCo's ``xml_file``). Objects of this
+    process (``tasks.given``) are the user's own.
 
     Returns:
         One ``setting = value`` each, with every character that is not printable escaped.

@@ -1,4 +1,4 @@
-"""Open what a task names: a registered Gymnasium id, ``module:id``, ``module:callable``, or an object of the process."""
+"""Open what a task names: a registered id, ``module:id``, ``module:callable``, or an object of the process."""
 
 from __future__ import annotations
 

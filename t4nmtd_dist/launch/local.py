@@ -11,7 +11,7 @@ from functools import partial
 from pathlib import Path
 from typing import Protocol
 
-from t4nmtd_dist.core.errors import RunError
+from t4nmtd_dist.core.errors import ProtocolError, RunError
 from t4nmtd_dist.launch.command_lines import coordinator_command, worker_command
 from t4nmtd_dist.launch.logs import coordinator_failure
 from t4nmtd_dist.launch.program import Program, Role
@@ -19,6 +19,10 @@ from t4nmtd_dist.launch.protocol import Endpoints, Handle, Supervisor
 from t4nmtd_dist.launch.restarts import Process, RestartedWorkers
 from t4nmtd_dist.runs.directory import ENDPOINTS_FILE
 from t4nmtd_dist.runs.links import open_to_append
+from t4nmtd_dist.wire.auth.keys import load_client
+from t4nmtd_dist.wire.messages import Status
+from t4nmtd_dist.wire.status_client import ask_status
+from t4nmtd_dist.wire.zmq_types import new_context
 
 START_DEADLINE_S = 60.0
 END_DEADLINE_S = 20.0  # time in which workers write their last checkpoints; most need a second
@@ -128,6 +132,19 @@ class LocalProcesses:
             return False
         self.workers.check()
         return True
+
+    def status(self, timeout_s: float) -> Status | None:
+        """What the coordinator says of its run; None if it does not answer in time."""
+        if self.endpoints is None:
+            return None
+        keys = None if self._program.keys is None else load_client(self._program.keys)
+        context = new_context()
+        try:
+            return ask_status(context, self.endpoints.control, keys, timeout_s)
+        except (RunError, ProtocolError):
+            return None
+        finally:
+            context.term()
 
     def interrupt(self) -> None:
         """Ask the coordinator to end the run."""

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from typing import Protocol
 
 from t4nmtd_dist.launch.program import Program
+from t4nmtd_dist.wire.messages import Status
 
 SOLVED, BUDGET_SPENT, STOPPED = 0, 3, 130
 OUTCOMES = (SOLVED, BUDGET_SPENT, STOPPED)
@@ -64,6 +65,9 @@ class Handle(Protocol):
         Raises:
             RunError: if the run cannot go on.
         """
+
+    def status(self, timeout_s: float) -> Status | None:
+        """How the run is; None if the coordinator has not answered in time."""
 
     def interrupt(self) -> None:
         """Ask the run to stop: it writes its result and checkpoints, and ends."""

@@ -25,7 +25,10 @@ class Process(Protocol):
     """A process of this machine; ``subprocess.Popen`` is one."""
 
     pid: int
-    returncode: int | None
+
+    @property
+    def returncode(self) -> int | None:
+        """The exit code as of the last ``poll`` or ``wait``."""
 
     def poll(self) -> int | None:
         """The exit code, negative for a signal; None while it runs."""

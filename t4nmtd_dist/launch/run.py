@@ -23,13 +23,24 @@ OUTCOME_S = 15.0  # after the last state was shown, in which a coordinator usual
 RESULT_S = 90.0  # in which a coordinator that finds no room for its result gives up
 
 
-def launch(program: Program, launcher: str = "local", *, interrupted: Callable[[], bool] | None = None) -> int:
+Show = Callable[[Handle, Callable[[], bool]], None]
+"""Shows a run for as long as a function, called several times a second, says that it goes on."""
+
+
+def launch(
+    program: Program,
+    launcher: str = "local",
+    *,
+    interrupted: Callable[[], bool] | None = None,
+    show: Show | None = None,
+) -> int:
     """Run a program to its end.
 
     Args:
         program: what runs.
         launcher: a name of ``core.registry.LAUNCHERS``.
         interrupted: whether the user wants the run to stop; by default after Ctrl-C, SIGTERM or SIGHUP.
+        show: shows the run in place of the dashboard.
 
     Returns:
         The exit code: 0 solved, 3 budget spent, 130 interrupted.
@@ -44,16 +55,19 @@ def launch(program: Program, launcher: str = "local", *, interrupted: Callable[[
     RunDirectory(plan.directory, restart=program.options.restart, resume=plan.resumes)
     with ExitStack() as stack:
         asked = stack.enter_context(noted_signals()) if interrupted is None else interrupted
-        return _see_through(program, chosen, asked)
+        return _see_through(program, chosen, asked, show)
 
 
-def _see_through(program: Program, launcher: Launcher, interrupted: Callable[[], bool]) -> int:
+def _see_through(program: Program, launcher: Launcher, interrupted: Callable[[], bool], show: Show | None) -> int:
     keys = None if program.keys is None else load_client(program.keys)
     reports = FailureReports(keys, held=program.dashboard and _takes_the_terminal())
     handle = launcher.start(program, Supervisor(reports, interrupted))
     try:
         reports.control = "" if handle.endpoints is None else handle.endpoints.control
-        _watch(handle, interrupted, program.dashboard, keys)
+        if show is None:
+            _watch(handle, interrupted, program.dashboard, keys)
+        else:
+            show(handle, lambda: handle.check() and not interrupted())
         if interrupted():
             handle.interrupt()
         code = _exit_code(program, handle, interrupted)

@@ -9,12 +9,14 @@ from coordinator.events import Finish
 from coordinator.finishing import retry_pauses, write_result
 from coordinator.run_logger import RunLogger
 from coordinator.run_settings import RunSettings
+from coordinator.snapshot import status
 from t4nmtd_dist.launch.program import Program
 from t4nmtd_dist.launch.protocol import BUDGET_SPENT, SOLVED, STOPPED, Handle, Supervisor
 from t4nmtd_dist.launch.serial import SerialRun
 from t4nmtd_dist.launch.serial_checkpointing import SerialCheckpoints
 from t4nmtd_dist.runs.directory import RunDirectory
 from t4nmtd_dist.runs.resuming import write_identity
+from t4nmtd_dist.wire.messages import Status
 
 PAUSE_S = 0.1
 CODES = {"solved": SOLVED, "budget spent": BUDGET_SPENT}
@@ -70,6 +72,10 @@ class SerialHandle:
     def _record_notes(self) -> None:
         for note in self._run.take_notes():
             self._recorder.record(note)
+
+    def status(self, timeout_s: float) -> Status:
+        """How the run is after the last round."""
+        return status(self._run.coordinator, time.time())
 
     def interrupt(self) -> None:
         """End the run now."""

@@ -72,7 +72,22 @@ def plan_run(options: RunOptions, *, serial: bool = False, warn: Warn = print) -
         return _resumed(options, options.resume, serial, warn)
     if not options.task:
         raise ConfigError("expected --task NAME for a new run, or --resume RUN to go on with one")
-    config = load_task(options.task, configs=options.config, flags=_flags(options))
+    return plan_task(load_task(options.task, configs=options.config, flags=options.set), options, serial=serial)
+
+
+def plan_task(config: TaskConfig, options: RunOptions, *, serial: bool = False) -> RunPlan:
+    """A new run of a task.
+
+    Args:
+        config: its settings.
+        options: budget, seed and folder are taken from there.
+        serial: whether all roles share one process, in lock-step.
+
+    Raises:
+        ConfigError: for a negative seed or a budget out of range.
+    """
+    if options.max_interactions is not None:
+        config = dataclasses.replace(config, max_interactions=options.max_interactions)
     seed = options.seed or 0
     if seed < 0:
         raise ConfigError(f"--seed {seed}: expected 0 or more")
