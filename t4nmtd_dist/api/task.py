@@ -10,7 +10,7 @@ from typing import Any
 
 import gymnasium
 
-from t4nmtd_dist.automata.formula import names_in_order
+from t4nmtd_dist.automata.formula import names_in_order, parse
 from t4nmtd_dist.core.config import TaskConfig, task_config
 from t4nmtd_dist.core.errors import ConfigError
 from t4nmtd_dist.core.setting_sources import merge
@@ -46,7 +46,7 @@ class Task:
 
     Raises:
         ConfigError: for a setting that is unknown or out of range, or a missing horizon.
-        FormulaError: if the formula cannot be parsed.
+        FormulaError: if the formula cannot be parsed, or uses an undeclared name.
     """
 
     config: TaskConfig
@@ -70,6 +70,7 @@ class Task:
             "path": _folders(functions),
         }
         names = names_in_order(formula) if propositions is None else propositions
+        parse(formula, names)
         data = {"name": name, "formula": formula, "propositions": list(names), "environment": environment}
         self.config = task_config(merge(data, _nested(settings or {})), source=f"task {name!r}")
 

@@ -23,6 +23,7 @@ from t4nmtd_dist.launch.run import launch
 from t4nmtd_dist.runs.options import RunOptions
 from t4nmtd_dist.runs.planning import RunPlan, plan_run, plan_task
 from t4nmtd_dist.runs.resuming import SERIAL
+from t4nmtd_dist.tasks.given import same_code
 
 SHARES_OBJECTS = ("forked", SERIAL)
 """Launchers whose roles have the objects of this process."""
@@ -105,13 +106,15 @@ def _resumed(task: Task, options: RunOptions, launcher: str) -> RunPlan:
     if options.resume is None:
         raise ConfigError("resume=True continues the run in run_dir: pass run_dir, too")
     plan = plan_run(options, serial=launcher == SERIAL, warn=_warn)
-    same = (plan.config.formula, plan.config.environment) == (task.config.formula, task.config.environment)
-    if not same:
+    own, theirs = task.config.environment, plan.config.environment
+    same_functions = same_code(own.id, theirs.id) and same_code(own.labels, theirs.labels)
+    if plan.config.formula != task.config.formula or not same_functions:
         raise ConfigError(
             f"the run in {plan.directory} is of another task: {plan.config.formula!r} in "
-            f"{plan.config.environment.id!r}, not {task.config.formula!r} in {task.config.environment.id!r}"
+            f"{theirs.id!r}, not {task.config.formula!r} in {own.id!r}"
         )
-    return plan
+    functions = replace(theirs, id=own.id, labels=own.labels)
+    return replace(plan, config=replace(plan.config, environment=functions))
 
 
 @contextmanager

@@ -7,10 +7,12 @@ the same entries, all others refuse such a task.
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable
 from typing import Any
 
 GIVEN = "python:"
+NUMBER = re.compile(r"-\d+$")
 
 _objects: dict[str, Callable[..., Any]] = {}
 
@@ -32,6 +34,15 @@ def give(function: Callable[..., Any]) -> str:
 def is_given(setting: str) -> bool:
     """Whether a setting stands for an object of the process that wrote it."""
     return setting.startswith(GIVEN)
+
+
+def same_code(one: str, other: str) -> bool:
+    """Whether two settings name the same code, or functions of one name, such as a cell run twice defines."""
+    return one == other or (is_given(one) and is_given(other) and _plain(one) == _plain(other))
+
+
+def _plain(setting: str) -> str:
+    return NUMBER.sub("", setting)
 
 
 def given(setting: str) -> Callable[..., Any] | None:
