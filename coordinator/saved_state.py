@@ -33,6 +33,7 @@ def load_saved_state(state: CoordinatorState, saved: State) -> None:
     for pid, record in state.records.items():
         record.load_state_dict(saved["records"][pid])
     state.evaluations.load_state_dict(saved["evaluations"])
+    state.events.clear()  # in one process, leases are claimed before the state is loaded
     state.events.extend(msgspec.convert(saved["events"], list[EventLine]))
     state.snapshot = saved["snapshot"]
     _raise_clock(state, saved["counts"])

@@ -130,7 +130,7 @@ def test_a_registered_id_brings_its_horizon() -> None:
         ({"env": Corridor, "horizon": 0}, "horizon is missing"),
         ({"env": Corridor, "horizon": 9, "settings": {"learner.gama": 1}}, r"unknown key 'learner\.gama'.*gamma"),
         ({"env": Corridor, "horizon": 9, "settings": {"learner.gamma": 2}}, r"learner\.gamma"),
-        ({"env": Corridor, "horizon": 9, "propositions": ["left", "right", "coordinator"]}, "coordinator"),
+        ({"env": Corridor, "horizon": 9, "propositions": ["left", "right", "evaluator"]}, "evaluator"),
     ],
 )
 def test_wrong_arguments_are_refused_with_a_reason(arguments: dict[str, Any], said: str) -> None:
