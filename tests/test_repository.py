@@ -266,11 +266,11 @@ def test_the_patterns_find_what_they_are_for() -> None:
 
 def test_the_readmes_python_is_the_examples() -> None:
     readme = (ROOT / "README.md").read_text(encoding="utf-8")
-    example = (ROOT / "examples" / "use_policy.py").read_text(encoding="utf-8")
-    (block,) = re.findall(r"^```python\n(.*?)^```", readme, re.MULTILINE | re.DOTALL)
-    lines = {line.strip() for line in example.splitlines()}
-    code = [line.strip() for line in block.splitlines() if line.strip()]
-    assert code
+    examples = [ROOT / "examples" / name for name in ("python_api.py", "use_policy.py")]
+    blocks = re.findall(r"^```python\n(.*?)^```", readme, re.MULTILINE | re.DOTALL)
+    lines = {line.strip() for example in examples for line in example.read_text(encoding="utf-8").splitlines()}
+    assert len(blocks) == len(examples)
+    code = [line.strip() for block in blocks for line in block.splitlines() if line.strip()]
     assert [line for line in code if line not in lines and "load(" not in line] == []
 
 
