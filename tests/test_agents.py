@@ -41,6 +41,7 @@ def trained(name: str) -> Learner:
     return learner
 
 
+@pytest.mark.command
 @pytest.mark.parametrize("module", [*WITHOUT_TORCH, *(f"agents.{name}.shapes" for name in AGENTS.names())])
 def test_what_the_coordinator_reads_of_agents_imports_no_torch(module: str) -> None:
     code = f"import sys, t4nmtd_dist.{module}; sys.exit('torch' in sys.modules)"
