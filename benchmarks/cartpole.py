@@ -116,7 +116,8 @@ class Ours:
 
     def actions(self, observations: Floats) -> NDArray[np.int64]:
         """See ``Agent``."""
-        return self._agent.q_values(observations).argmax(1)
+        greedy: NDArray[np.int64] = self._agent.q_values(observations).argmax(1)
+        return greedy
 
 
 class Theirs:
