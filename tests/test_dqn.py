@@ -212,6 +212,6 @@ def test_the_cartpole_loop_updates_as_often_as_the_other_and_falls_are_terminal(
 
 @pytest.mark.training
 def test_cartpole_is_learned_about_as_well_as_by_stable_baselines3() -> None:
-    found = benchmark("cartpole").compared(15_000, [0, 1])
+    found = benchmark("cartpole").compared(15_000, [0])
     ours, theirs = found["ours"]["mean"], found["Stable-Baselines3"]["mean"]
     assert ours >= 0.8 * theirs or min(ours, theirs) >= 195
