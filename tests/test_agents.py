@@ -9,11 +9,9 @@ from functools import cache
 
 import numpy as np
 import pytest
-from small_sac import small_sac, small_sac_task
-from small_tasks import small_learner, small_task
+from small_agents import small_agent, small_agent_task
 
 from t4nmtd_dist.agents.actors import make_actor
-from t4nmtd_dist.agents.common.peer_values import NoPeers
 from t4nmtd_dist.agents.modules import actor_module, builder_module, shapes_module
 from t4nmtd_dist.agents.protocol import Learner
 from t4nmtd_dist.agents.weight_checks import check_weights, expected_shapes
@@ -21,22 +19,16 @@ from t4nmtd_dist.agents.weights import acting_parameters
 from t4nmtd_dist.core.agent_settings import agent_settings
 from t4nmtd_dist.core.errors import ConfigError, PolicyError
 from t4nmtd_dist.core.registry import AGENTS
-from t4nmtd_dist.method.compiled import CompiledTask
 
 WITHOUT_TORCH = ("agents.weight_checks", "agents.actors", "agents.protocol", "wire.task_size")
 MODULES_OF = (shapes_module, actor_module, builder_module)
-
-TASKS: dict[str, Callable[[], CompiledTask]] = {"ppo": small_task, "sac": small_sac_task}
-LEARNERS: dict[str, Callable[[], Learner]] = {"ppo": lambda: small_learner("p2"), "sac": lambda: small_sac("g1")}
 
 every_agent = pytest.mark.parametrize("name", AGENTS.names())
 
 
 @cache
 def trained(name: str) -> Learner:
-    learner = LEARNERS[name]()
-    for _ in range(4):
-        learner.iterate(NoPeers())
+    learner = small_agent(name, iterations=4)
     assert learner.gradient_steps
     return learner
 
@@ -62,7 +54,7 @@ def test_an_undecided_algorithm_is_refused(module_of: Callable[[str], object]) -
 
 @every_agent
 def test_the_weights_of_a_learner_are_those_that_the_coordinator_expects(name: str) -> None:
-    task, weights = TASKS[name](), trained(name).weights()
+    task, weights = small_agent_task(name), trained(name).weights()
     sizes = check_weights(weights, task.config, task.dfa.states)
     assert sizes.observation == trained(name).rollout.observations.shape[1]
     shapes = {name: array.shape for name, array in weights.items()}
@@ -71,7 +63,7 @@ def test_the_weights_of_a_learner_are_those_that_the_coordinator_expects(name: s
 
 @every_agent
 def test_the_exploration_settings_that_are_recommended_exist(name: str) -> None:
-    settings = TASKS[name]().config.to_dict()
+    settings = small_agent_task(name).config.to_dict()
     for setting in agent_settings(name).exploration:
         section, key = setting.split(".")
         assert key in settings[section]
@@ -79,7 +71,7 @@ def test_the_exploration_settings_that_are_recommended_exist(name: str) -> None:
 
 @every_agent
 def test_an_actor_acts_on_the_parameters_that_are_exported_and_on_no_others(name: str) -> None:
-    settings, weights = TASKS[name]().config.learner, trained(name).weights()
+    settings, weights = small_agent_task(name).config.learner, trained(name).weights()
     exported = acting_parameters(weights)
     rng = np.random.default_rng(0)
     actor, again = make_actor(settings, weights), make_actor(settings, exported)

@@ -64,6 +64,7 @@ AGENTS = Registry(
     {
         "ppo": "t4nmtd_dist.agents.ppo",
         "sac": "t4nmtd_dist.agents.sac",
+        "dqn": "t4nmtd_dist.agents.dqn",
     },
 )
 

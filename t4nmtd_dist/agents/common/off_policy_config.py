@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from typing import Protocol
 
+from t4nmtd_dist.core.errors import ConfigError
+
 
 class OffPolicyConfig(Protocol):
     """What ``OffPolicyLearner`` reads of an agent's ``CONFIG``; ``SACConfig`` describes every setting."""
@@ -43,3 +45,22 @@ class OffPolicyConfig(Protocol):
     @property
     def success_share(self) -> float:
         """Share of a batch from the last steps before past successes."""
+
+
+def check_replay(section: str, config: OffPolicyConfig) -> None:
+    """Check that the replay can hold what learning waits for.
+
+    Args:
+        section: of the settings, for the message; "sac".
+        config: the settings.
+
+    Raises:
+        ConfigError: if it cannot.
+    """
+    kept = config.replay_rows // config.num_envs * config.num_envs
+    if kept < max(config.num_envs, config.learning_starts):
+        raise ConfigError(
+            f"{section}.replay_rows = {config.replay_rows}: expected at least {section}.learning_starts = "
+            f"{config.learning_starts}, in whole steps of {section}.num_envs = {config.num_envs} copies; otherwise "
+            "learning never starts"
+        )

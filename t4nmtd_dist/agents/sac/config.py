@@ -6,8 +6,8 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any, Literal
 
+from t4nmtd_dist.agents.common.off_policy_config import check_replay
 from t4nmtd_dist.core.config import LearnerConfig
-from t4nmtd_dist.core.errors import ConfigError
 from t4nmtd_dist.core.setting_types import Count, CountOrZero, NotNegative, Positive, PositiveShare, Share
 
 
@@ -85,10 +85,4 @@ def check(config: SACConfig, learner: LearnerConfig) -> None:
     Raises:
         ConfigError: if not.
     """
-    kept = config.replay_rows // config.num_envs * config.num_envs
-    if kept < max(config.num_envs, config.learning_starts):
-        raise ConfigError(
-            f"sac.replay_rows = {config.replay_rows}: expected at least sac.learning_starts = "
-            f"{config.learning_starts}, in whole steps of sac.num_envs = {config.num_envs} copies; otherwise learning "
-            "never starts"
-        )
+    check_replay("sac", config)

@@ -1,0 +1,42 @@
+"""Double DQN's target (van Hasselt et al., 2016) with policy intervention (T4NMTD, Algorithm 2, line 12), and its loss.
+
+Symbols: Q is the network that acts and learns, Q' its target network.
+"""
+
+from __future__ import annotations
+
+import torch
+from torch import Tensor
+from torch.nn import functional
+
+
+def double_q_target(
+    reward: Tensor, discount: Tensor, next_q: Tensor, next_target_q: Tensor, peer_value: Tensor, answered: Tensor
+) -> Tensor:
+    """Y = r + gamma^n Q'(s', argmax_a Q(s', a)) [B].
+
+    Where the transition leaves the sub-task, a peer acts in s': the value is the peer's max_a Q'(s', a). Without an
+    answer it is the own one.
+
+    Args:
+        reward: r, the sum of the discounted scaled rewards of n steps [B].
+        discount: gamma^n, 0 at terminals [B].
+        next_q: Q(s', .) [B, actions].
+        next_target_q: Q'(s', .) [B, actions].
+        peer_value: of the peers; any number where no peer was asked [B].
+        answered: where a peer was asked and has answered, bool [B].
+    """
+    best = next_q.argmax(1, keepdim=True)
+    own_value = next_target_q.gather(1, best).squeeze(1)
+    return reward + discount * torch.where(answered, peer_value, own_value)
+
+
+def q_loss(q: Tensor, actions: Tensor, target: Tensor) -> Tensor:
+    """Mean Huber loss, with threshold 1, of Q(s, a) - Y.
+
+    Args:
+        q: Q(s, .) [B, actions].
+        actions: numbers of the actions taken, int64 [B, 1].
+        target: Y [B].
+    """
+    return functional.smooth_l1_loss(q.gather(1, actions).squeeze(1), target)
