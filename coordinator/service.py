@@ -87,7 +87,7 @@ class CoordinatorService:
         self._publish_due = 0.0
         self._interrupt: str | None = None
         self._over = threading.Event()
-        self._impatient = False
+        self._interrupted = self._impatient = False
         self._open_run(storage)
 
     def _open_run(self, storage: RunStorage) -> None:
@@ -109,10 +109,11 @@ class CoordinatorService:
         return resumed
 
     def interrupt(self, reason: str) -> None:
-        """Ask the loop to end the run; callable from a signal handler or another thread."""
-        self._interrupt = reason
-        if self._over.is_set():
+        """Ask the loop to end the run, a second time to hurry; callable from a signal handler or another thread."""
+        if self._interrupted or self._over.is_set():
             self._impatient = True
+        self._interrupted = True
+        self._interrupt = reason
 
     def serve(self) -> None:
         """Run until the state machine finishes; for a moment longer, answer everyone that the run is over."""

@@ -190,18 +190,18 @@ def test_a_revocation_that_another_thread_saw_first_is_acted_upon(
 ) -> None:
     monkeypatch.setattr("t4nmtd_dist.wire.auth.allow_list.REREAD_S", 0.0)
     key = load_client(client_of(folder)).own.public
-    doors = BoundSockets(Access("tcp://127.0.0.1:*", "tcp://127.0.0.1:*", folder))
+    sockets = BoundSockets(Access("tcp://127.0.0.1:*", "tcp://127.0.0.1:*", folder))
     try:
-        assert doors.changed_keys() is None
+        assert sockets.changed_keys() is None
         revoke(folder, "client1")
-        assert doors._allowed is not None
-        assert doors._allowed.refresh(), "the authenticator does this at every handshake"
-        changed = doors.changed_keys()
+        assert sockets._allowed is not None
+        assert sockets._allowed.refresh(), "the authenticator does this at every handshake"
+        changed = sockets.changed_keys()
         assert changed is not None
         assert key not in changed
-        assert doors.changed_keys() is None
+        assert sockets.changed_keys() is None
     finally:
-        doors.close()
+        sockets.close()
 
 
 # Limits
@@ -365,7 +365,7 @@ def test_strangers_are_refused_told_of_once_and_disturb_nobody(running: Running,
 
 def test_a_key_that_is_added_gets_in_at_once(running: Running) -> None:
     keys = load_client(add_client(running.folder, "late"))
-    soon(lambda: keys.own.public in running.service._doors._allowed.all())  # type: ignore[union-attr]
+    soon(lambda: keys.own.public in running.service._sockets._allowed.all())  # type: ignore[union-attr]
     assert isinstance(running.claim("g", keys)[1], Granted)
 
 
