@@ -49,7 +49,9 @@ def test_a_misspelt_verb_gets_a_suggestion(word: str, verb: str) -> None:
 def test_a_verb_like_none_is_answered_with_all() -> None:
     done = run("t4nmtd", "xyzzy")
     assert done.returncode == 2
-    assert done.stderr.startswith("t4nmtd: unknown command 'xyzzy'; expected one of check, completion, dashboard")
+    assert done.stderr.startswith(
+        "t4nmtd: unknown command 'xyzzy'; expected one of check, completion, config, dashboard"
+    )
 
 
 def complete(script: Path, shell: str, line: str) -> list[str]:

@@ -15,7 +15,7 @@ from hypothesis import strategies as st
 from small_tasks import TINY, own_task
 
 from coordinator.endpoints import Access
-from coordinator.service import CoordinatorService
+from coordinator.service import CoordinatorService, RunStorage
 from coordinator.state import CoordinatorState, RunSettings
 from t4nmtd_dist.environments.preparation import prepared
 from t4nmtd_dist.method.compiled import CompiledTask, compile_task
@@ -223,7 +223,7 @@ algorithm = "ppo"
 @contextmanager
 def at_work(state: CoordinatorState, folder: Path) -> Iterator[None]:
     """A coordinator and one worker without a pid, each in a thread."""
-    service = CoordinatorService(state, folder / "run", Access(FREE_PORT, FREE_PORT))
+    service = CoordinatorService(state, RunStorage(folder / "run"), Access(FREE_PORT, FREE_PORT))
     serving = threading.Thread(target=service.serve, daemon=True)
     serving.start()
     worker = Worker(WorkerOptions(Connection(service.control, trust=True), instance="w"))

@@ -128,7 +128,7 @@ horizon = 50
 [learner]
 hidden = [6]
 """
-    task = compile_task(load_task(str(own_task(tmp_path, text))))
+    task = compile_task(load_task(str(own_task(tmp_path, text)), flags=["learner.algorithm=ppo"]))
     fetch = {0: RIGHT, 1: RIGHT, 2: RIGHT, 3: DOWN, 11: DOWN, 19: DOWN, 27: PICK}
     policy = GlobalPolicy(task, [], {"p1": actor(task, fetch, LEFT)})
     result = Evaluator(policy, 2, seed=0).run(policy)

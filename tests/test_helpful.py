@@ -217,12 +217,3 @@ def test_settings_without_the_key_load_and_a_new_run_has_it(tmp_path: Path) -> N
     write_identity(run.path, new_identity(serial=True))
     assert 'keep = "helpful"' in (run.path / "config.toml").read_text("utf-8")
     assert read_stopped_run(run.path).config.decomposition.keep == "helpful"
-
-
-def test_a_run_from_before_the_setting_goes_on_with_the_sub_tasks_that_it_has(tmp_path: Path) -> None:
-    run = RunDirectory(tmp_path / "run")
-    run.write_settings(joint_task(), 0, 1)
-    write_identity(run.path, new_identity(serial=True))
-    path = run.path / "config.toml"
-    path.write_text(path.read_text("utf-8").replace('keep = "helpful"\n', ""), "utf-8")
-    assert compile_task(read_stopped_run(run.path).config).decomposition.pids == ("blue", "red")

@@ -27,7 +27,7 @@ def critics_after(algorithm: str, mode: str) -> dict[str, NDArray[np.float32]]:
     session.buffer.add(*start)
     for _ in range(rounds):
         run.round()
-    assert (session._stats().intervention.asked > 0) == (mode != "off")
+    assert (session._all_counts().intervention.asked > 0) == (mode != "off")
     return {name: array for name, array in session.learner.weights().items() if name.startswith("critic")}
 
 

@@ -44,7 +44,7 @@ def exported(
     folder: Path, text: str = CORRIDOR, bias: tuple[float, float] = (1.0, 0.0), mode: ActionMode = "greedy"
 ) -> Path:
     """A policy that always goes left (or right, by ``bias``), of a user who has trained it."""
-    task = compile_task(load_task(str(own_task(folder, text))), translator="python")
+    task = compile_task(load_task(str(own_task(folder, text)), flags=["learner.algorithm=ppo"]), translator="python")
     remember(task.config.environment)
     width = 7 + task.dfa.states
     weights = {
