@@ -38,7 +38,7 @@ class DQNConfig:
     replay_rows: Count = 300_000
     learning_starts: CountOrZero = 1000
     batch: Count = 256
-    updates_per_step: Positive = 0.5
+    updates_per_step: Positive = 0.125
     n_step: Count = 3
     relabel_share: Share = 0.5
     peer_share: Share = 0.5
