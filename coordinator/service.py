@@ -21,6 +21,7 @@ from coordinator.snapshot import dashboard_state, status
 from coordinator.state import CoordinatorState
 from coordinator.worker_commands import WorkerCommands
 from t4nmtd_dist.core.errors import ProtocolError, RunError
+from t4nmtd_dist.process.memory import MemoryTrimmer
 from t4nmtd_dist.runs.directory import RunDirectory
 from t4nmtd_dist.runs.event_files import TensorBoard
 from t4nmtd_dist.runs.resuming import CHECKPOINT_EVERY_S, Identity, write_identity
@@ -85,6 +86,7 @@ class CoordinatorService:
         self._lines: SimpleQueue[str] = SimpleQueue()
         self._errors = ErrorBoundary(self._lines.put)
         self._publish_due = 0.0
+        self._memory = MemoryTrimmer()
         self._interrupt: str | None = None
         self._over = threading.Event()
         self._interrupted = self._impatient = False
@@ -244,4 +246,5 @@ class CoordinatorService:
         if now < self._publish_due:
             return
         self._publish_due = now + PUBLISH_S
+        self._memory.turn()
         self._sockets.broadcast(Envelope(dashboard_state(self.state, self.commands), {}, "coordinator"))
