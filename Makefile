@@ -12,7 +12,7 @@ PYTEST   := $(BIN)/python -m pytest
 PARALLEL := --numprocesses $(TEST_CORES) --dist loadfile
 
 .DEFAULT_GOAL := help
-.PHONY: help setup run test test-fast lint type format bench clean
+.PHONY: help setup run test test-nightly test-fast lint type format bench clean
 
 help: ## this list
 	@echo "make VERB, where VERB is one of"
@@ -29,15 +29,18 @@ $(STAMP): pyproject.toml constraints.txt deploy/setup.sh
 run: $(STAMP) ## train TASK (task7) with local processes and the dashboard until it is solved
 	@$(BIN)/t4nmtd train --task $(TASK) $(ARGS)
 
-# Tests with programs beside them have deadlines: they run one after the other. pytest's exit code 5 means that no
+# Tests of processes have deadlines: they run one after the other. pytest's exit code 5 means that no
 # test was chosen, as when ARGS names a file that has tests of one kind only.
-test: $(STAMP) ## run all tests: on TEST_CORES cores, then those with programs beside them one after the other
-	@$(PYTEST) -m "not process" $(PARALLEL) $(ARGS); parallel=$$?; \
-	$(PYTEST) -m process $(ARGS); serial=$$?; \
+test: $(STAMP) ## run all tests but the nightly ones: on TEST_CORES cores, then those with deadlines one by one
+	@$(PYTEST) -m "not process and not nightly" $(PARALLEL) $(ARGS); parallel=$$?; \
+	$(PYTEST) -m "process and not nightly" $(ARGS); serial=$$?; \
 	case "$$parallel $$serial" in "0 0" | "0 5" | "5 0") ;; *) exit 1 ;; esac
 
+test-nightly: $(STAMP) ## run the long tests that make test leaves out
+	@$(PYTEST) -m nightly $(ARGS)
+
 test-fast: $(STAMP) ## run the tests that start no program, train nothing and take no longer than two seconds
-	@$(PYTEST) -m "not (process or command or training or slow)" $(PARALLEL) $(ARGS)
+	@$(PYTEST) -m "not (process or command or training or slow or nightly)" $(PARALLEL) $(ARGS)
 
 lint: $(STAMP) ## check style, formatting, and which package may import which
 	@$(BIN)/ruff check

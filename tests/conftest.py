@@ -18,7 +18,7 @@ from validation import validate_after_every_event
 from t4nmtd_dist.wire.zmq_types import Context, new_context
 from workers.critic_service import CriticService
 
-PROCESS_FIXTURES = {"processes", "attacked", "held"}
+FIXTURES = {"commands": "command", "processes": "process", "attacked": "process", "held": "process"}
 MARKERS = ("command", "process")
 OUR_CODE = re.compile(r"(?:^|import |from )(?:t4nmtd_dist|coordinator|workers|envs)\b")
 _running: list[pytest.Item] = []
@@ -39,8 +39,8 @@ def pytest_configure() -> None:
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     """Mark the tests that take a fixture that starts processes."""
     for item in items:
-        if not PROCESS_FIXTURES.isdisjoint(getattr(item, "fixturenames", ())):
-            item.add_marker("process")
+        for marker in {FIXTURES[name] for name in getattr(item, "fixturenames", ()) if name in FIXTURES}:
+            item.add_marker(marker)
 
 
 @pytest.hookimpl(wrapper=True, tryfirst=True)
@@ -70,11 +70,17 @@ def _state_folder(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
 
 
 @pytest.fixture
-def processes(tmp_path: Path) -> Iterator[Processes]:
-    """Starts commands in a folder of the test, and ends them with it."""
+def commands(tmp_path: Path) -> Iterator[Processes]:
+    """Starts commands in a folder of the test and ends them with it; the test leaves time for other tests beside it."""
     started = Processes(tmp_path)
     yield started
     started.end()
+
+
+@pytest.fixture
+def processes(commands: Processes) -> Processes:
+    """The same for a test that has deadlines, or says how long something takes: it runs alone."""
+    return commands
 
 
 @pytest.fixture(autouse=True, scope="session")

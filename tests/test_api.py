@@ -266,7 +266,7 @@ def test_a_killed_fork_is_started_again(tmp_path: Path) -> None:
     assert result.outcome == "budget spent"
 
 
-@pytest.mark.process
+@pytest.mark.command
 def test_other_programs_say_that_they_lack_the_function(tmp_path: Path) -> None:
     train(local_task(), serial=True, max_interactions=FEW, run_dir=tmp_path / "run", progress=False)
     command = [sys.executable, "-m", "t4nmtd_dist.cli.main", "evaluate", str(tmp_path / "run")]
@@ -276,7 +276,7 @@ def test_other_programs_say_that_they_lack_the_function(tmp_path: Path) -> None:
     assert "Put it into a module" in done.stderr
 
 
-@pytest.mark.process
+@pytest.mark.command
 @pytest.mark.training
 @pytest.mark.timeout(300)
 def test_the_example_trains_from_a_script(tmp_path: Path) -> None:

@@ -182,7 +182,7 @@ def test_the_packages_own_observations_are_not_warned_of(capsys: pytest.CaptureF
 
 
 @pytest.mark.parametrize("command", ["train --serial", "train --no-dashboard"])
-@pytest.mark.process
+@pytest.mark.command
 def test_warnings_come_before_a_training_too(command: str, tmp_path: Path) -> None:
     text = CORRIDOR.replace("Corridor", "Wavering").replace("& G(!again)", "")
     arguments = f"{command} --task {own_task(tmp_path, text)} --max-interactions 100 --run-dir {tmp_path / 'run'}"

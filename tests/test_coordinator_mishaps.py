@@ -66,7 +66,7 @@ LARGEST = LearnerStats(
 @pytest.fixture
 def running(tmp_path: Path, context: Context, monkeypatch: pytest.MonkeyPatch) -> Iterator[Running]:
     monkeypatch.setattr("coordinator.service.FAREWELL_S", 0.0)
-    monkeypatch.setattr("coordinator.service.LONGEST_FAREWELL_S", 4.0)  # nobody here says a last word
+    monkeypatch.setattr("coordinator.service.LONGEST_FAREWELL_S", 0.3)  # nobody here says a last word
     state = CoordinatorState(small_task(), RunSettings(seed=0, max_interactions=10**9))
     service = CoordinatorService(state, RunStorage(tmp_path / "run", tensorboard="auto"), Access(FREE_PORT, FREE_PORT))
 
@@ -268,7 +268,7 @@ def test_a_recorder_that_fails_at_the_end_leaves_a_checkpoint(
     tmp_path: Path, context: Context, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr("coordinator.service.FAREWELL_S", 0.0)
-    monkeypatch.setattr("coordinator.service.LONGEST_FAREWELL_S", 4.0)  # nobody here says a last word
+    monkeypatch.setattr("coordinator.service.LONGEST_FAREWELL_S", 0.3)  # nobody here says a last word
     monkeypatch.setattr(RunLogger, "close", raises)
     state = CoordinatorState(small_task(), RunSettings(seed=0, max_interactions=10**9))
     service = CoordinatorService(state, RunStorage(tmp_path / "run"), Access(FREE_PORT, FREE_PORT))

@@ -63,7 +63,7 @@ def test_a_training_without_the_device_starts_and_writes_nothing(serial: bool, t
 
 
 @needs_no_gpu
-@pytest.mark.process
+@pytest.mark.command
 def test_train_passes_the_device_on_to_its_learners(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """With its own check left out, the workers that it starts refuse the device."""
     monkeypatch.setattr(train_module, "check_device", lambda device: None)

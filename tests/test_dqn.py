@@ -210,7 +210,9 @@ def test_the_cartpole_loop_updates_as_often_as_the_other_and_falls_are_terminal(
     assert cartpole.mean_return(ours, 2) >= 1
 
 
+@pytest.mark.nightly
 @pytest.mark.training
+@pytest.mark.timeout(600)
 def test_cartpole_is_learned_about_as_well_as_by_stable_baselines3() -> None:
     found = benchmark("cartpole").compared(15_000, [0])
     ours, theirs = found["ours"]["mean"], found["Stable-Baselines3"]["mean"]

@@ -27,8 +27,8 @@ def test_an_example_is_short_and_needs_few_settings(name: str) -> None:
 
 
 @pytest.mark.parametrize("name", NAMES)
-def test_an_example_fits_together(name: str, processes: Processes) -> None:
-    checked = processes.start("t4nmtd", "check", str(EXAMPLES / f"{name}.toml"), "--steps", "500", "--json")
+def test_an_example_fits_together(name: str, commands: Processes) -> None:
+    checked = commands.start("t4nmtd", "check", str(EXAMPLES / f"{name}.toml"), "--steps", "500", "--json")
     assert checked.wait(60) == 0, checked.story()
     found = json.loads(checked.out)
     assert found["problems"] == []
@@ -37,12 +37,12 @@ def test_an_example_fits_together(name: str, processes: Processes) -> None:
 
 @pytest.mark.training
 @pytest.mark.timeout(420)
-@pytest.mark.parametrize("name", NAMES)
-def test_an_example_is_learned(name: str, tmp_path: Path, processes: Processes) -> None:
+@pytest.mark.parametrize("name", [NAMES[0], *(pytest.param(name, marks=pytest.mark.nightly) for name in NAMES[1:])])
+def test_an_example_is_learned(name: str, tmp_path: Path, commands: Processes) -> None:
     run = tmp_path / "run"
     where = ["--task", str(EXAMPLES / f"{name}.toml"), "--seed", "100", "--run-dir", str(run), "--no-dashboard"]
-    training = processes.start("t4nmtd", "train", *where)
+    training = commands.start("t4nmtd", "train", *where)
     assert training.wait(300) == 0, training.story()
-    evaluation = processes.start("t4nmtd", "evaluate", str(run), "--episodes", "100", "--seed", "4711", "--json")
+    evaluation = commands.start("t4nmtd", "evaluate", str(run), "--episodes", "100", "--seed", "4711", "--json")
     assert evaluation.wait(100) == 0, evaluation.story()
     assert json.loads(evaluation.out)["success_rate"] >= LEAST_SUCCESS

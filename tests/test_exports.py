@@ -241,18 +241,18 @@ def test_an_exported_policy_that_cannot_be_read_is_told_of_and_not_kept(
 
 
 @pytest.mark.timeout(120)
-def test_a_run_can_be_evaluated_while_it_trains(processes: Processes) -> None:
-    run = processes.folder / "run"
+def test_a_run_can_be_evaluated_while_it_trains(commands: Processes) -> None:
+    run = commands.folder / "run"
     settings = ["evaluation.every=500", "evaluation.episodes=2", "environment.horizon=30", "evaluation.in_a_row=1000"]
     flags = [part for setting in settings for part in ("--set", setting)]
-    training = processes.start("t4nmtd", "train", "--task", "task7", "--run-dir", str(run), "--no-dashboard", *flags)
-    processes.until(lambda: (run / "policy" / POLICY_FILE).exists(), "a first policy is exported")
-    evaluated = processes.start("t4nmtd", "evaluate", str(run), "--episodes", "3", "--json", "--actions", "sampled")
+    training = commands.start("t4nmtd", "train", "--task", "task7", "--run-dir", str(run), "--no-dashboard", *flags)
+    commands.until(lambda: (run / "policy" / POLICY_FILE).exists(), "a first policy is exported")
+    evaluated = commands.start("t4nmtd", "evaluate", str(run), "--episodes", "3", "--json", "--actions", "sampled")
     assert evaluated.wait(60) == 0, evaluated.story()
     found = json.loads(evaluated.out)
     assert (found["task"], found["episodes"], found["actions"]) == ("task7", 3, "sampled")
     assert training.process.poll() is None, "it still trains"
-    status = processes.start("t4nmtd", "status", "--connect", endpoints(run)[0])
+    status = commands.start("t4nmtd", "status", "--connect", endpoints(run)[0])
     assert status.wait(60) == 0, status.story()
     assert "best evaluation" in status.out
     assert str(run / "policy") in status.out

@@ -39,12 +39,12 @@ SHORT = ("--max-interactions", "3000", "--no-dashboard")
 # In the current folder
 
 
-def test_modules_in_the_current_folder_are_not_taken_for_ours(processes: Processes) -> None:
+def test_modules_in_the_current_folder_are_not_taken_for_ours(commands: Processes) -> None:
     for name in ("workers.py", "coordinator.py", "envs/__init__.py", "t4nmtd_dist/__init__.py"):
-        path = processes.folder / name
+        path = commands.folder / name
         path.parent.mkdir(exist_ok=True)
         path.write_text(FOREIGN, encoding="utf-8")
-    started = processes.start("t4nmtd", "train", "--task", "task7", "--run-dir", "run", *SHORT)
+    started = commands.start("t4nmtd", "train", "--task", "task7", "--run-dir", "run", *SHORT)
     assert started.wait(110) in (0, 3), started.story()
 
 
@@ -63,16 +63,16 @@ def test_every_program_starts_with_the_check() -> None:
 
 @pytest.mark.parametrize("program", PROGRAMS)
 @pytest.mark.parametrize("name", ["envs/__init__.py", "coordinator.py", "workers/__init__.py"])
-def test_what_hides_ours_on_pythonpath_is_named_and_refused(name: str, program: str, processes: Processes) -> None:
-    path = processes.folder / "lib" / name
+def test_what_hides_ours_on_pythonpath_is_named_and_refused(name: str, program: str, commands: Processes) -> None:
+    path = commands.folder / "lib" / name
     path.parent.mkdir(parents=True)
     path.write_text(FOREIGN, encoding="utf-8")
-    started = processes.start(program, *PROGRAMS[program], env={"PYTHONPATH": str(processes.folder / "lib")})
+    started = commands.start(program, *PROGRAMS[program], env={"PYTHONPATH": str(commands.folder / "lib")})
     package = Path(name).parts[0].removesuffix(".py")
     assert started.wait(20) == 2, started.story()
     (line,) = started.err.splitlines()
     assert line.startswith(f"{program}: {path} (found through PYTHONPATH) hides the package {package} of t4nmtd-dist")
-    assert f"take {processes.folder / 'lib'} out of PYTHONPATH" in line
+    assert f"take {commands.folder / 'lib'} out of PYTHONPATH" in line
 
 
 EDITABLE = """
@@ -110,28 +110,28 @@ def test_a_folder_without_init_hides_a_package_of_an_editable_installation(hidde
 
 
 @pytest.mark.parametrize("path", [":/nonexistent", ".", "/nonexistent:"])
-def test_the_current_folder_on_pythonpath_counts_as_it_does_for_python(path: str, processes: Processes) -> None:
-    (processes.folder / "envs.py").write_text(FOREIGN, encoding="utf-8")
-    started = processes.start("t4nmtd", "tasks", env={"PYTHONPATH": path})
+def test_the_current_folder_on_pythonpath_counts_as_it_does_for_python(path: str, commands: Processes) -> None:
+    (commands.folder / "envs.py").write_text(FOREIGN, encoding="utf-8")
+    started = commands.start("t4nmtd", "tasks", env={"PYTHONPATH": path})
     assert started.wait(20) == 2, started.story()
-    assert f"{processes.folder / 'envs.py'} (found through PYTHONPATH) hides the package envs" in started.err
+    assert f"{commands.folder / 'envs.py'} (found through PYTHONPATH) hides the package envs" in started.err
 
 
-def test_a_sitecustomize_that_imports_its_own_envs_is_refused(processes: Processes) -> None:
-    (processes.folder / "sitecustomize.py").write_text("import envs\n", encoding="utf-8")
-    (processes.folder / "envs.py").write_text("", encoding="utf-8")
-    started = processes.start("t4nmtd", "tasks", env={"PYTHONPATH": str(processes.folder)})
+def test_a_sitecustomize_that_imports_its_own_envs_is_refused(commands: Processes) -> None:
+    (commands.folder / "sitecustomize.py").write_text("import envs\n", encoding="utf-8")
+    (commands.folder / "envs.py").write_text("", encoding="utf-8")
+    started = commands.start("t4nmtd", "tasks", env={"PYTHONPATH": str(commands.folder)})
     assert started.wait(20) == 2, started.story()
     assert "hides the package envs" in started.err
 
 
-def test_a_pythonpath_that_hides_nothing_is_honoured(processes: Processes) -> None:
-    (processes.folder / "lib").mkdir()
-    (processes.folder / "task").mkdir()
-    shutil.copy(HERE / "own_environments.py", processes.folder / "lib")
-    task = own_task(processes.folder / "task", TASK.replace("envs:make", "own_environments:Corridor"))
+def test_a_pythonpath_that_hides_nothing_is_honoured(commands: Processes) -> None:
+    (commands.folder / "lib").mkdir()
+    (commands.folder / "task").mkdir()
+    shutil.copy(HERE / "own_environments.py", commands.folder / "lib")
+    task = own_task(commands.folder / "task", TASK.replace("envs:make", "own_environments:Corridor"))
     task.write_text(task.read_text().replace('labels = "workers:labels"', ""), encoding="utf-8")
-    started = processes.start("t4nmtd", "check", str(task), env={"PYTHONPATH": str(processes.folder / "lib")})
+    started = commands.start("t4nmtd", "check", str(task), env={"PYTHONPATH": str(commands.folder / "lib")})
     assert started.wait(60) == 0, started.story()
 
 
@@ -175,12 +175,12 @@ def theirs(folder: Path) -> Path:
     return own_task(folder, TASK)
 
 
-def test_a_task_may_name_modules_that_are_called_like_ours(processes: Processes) -> None:
-    task = theirs(processes.folder / "mine")
+def test_a_task_may_name_modules_that_are_called_like_ours(commands: Processes) -> None:
+    task = theirs(commands.folder / "mine")
     for arguments in (["check", str(task)], ["train", "--task", str(task), "--run-dir", "run", *SHORT]):
-        started = processes.start("t4nmtd", *arguments)
+        started = commands.start("t4nmtd", *arguments)
         assert started.wait(90) in (0, 3), started.story()
-    assert (processes.folder / "run" / "summary.json").exists()
+    assert (commands.folder / "run" / "summary.json").exists()
 
 
 def environment(folder: Path, name: str = "envs:make", **more: str) -> EnvironmentConfig:
@@ -276,17 +276,17 @@ if "--evaluate" in sys.argv:
 """
 
 
-def test_a_worker_that_dies_at_start_is_reported_at_once_with_its_last_lines(processes: Processes) -> None:
-    folder = processes.folder
+def test_a_worker_that_dies_at_start_is_reported_at_once_with_its_last_lines(commands: Processes) -> None:
+    folder = commands.folder
     shutil.copy(HERE / "own_environments.py", folder)
     (folder / "dies.py").write_text(DIES, encoding="utf-8")
     task = own_task(folder, TASK.replace("envs:make", "dies:Corridor").replace('labels = "workers:labels"', ""))
     run = folder / "run"
-    started = processes.start("t4nmtd", "train", "--task", str(task), "--run-dir", str(run), "--no-dashboard")
-    processes.until(lambda: "no licence" in started.err, "the launcher says what happened", 40)
+    started = commands.start("t4nmtd", "train", "--task", str(task), "--run-dir", str(run), "--no-dashboard")
+    commands.until(lambda: "no licence" in started.err, "the launcher says what happened", 40)
     assert "t4nmtd: worker evaluator ended with code 7" in started.err
-    processes.until(lambda: any("no licence" in text for text in events(run)), "so does the event log", 10)
-    processes.until_state(run, lambda s: any("no licence" in e.text for e in s.events), "and the dashboard", 10)
+    commands.until(lambda: any("no licence" in text for text in events(run)), "so does the event log", 10)
+    commands.until_state(run, lambda s: any("no licence" in e.text for e in s.events), "and the dashboard", 10)
     assert any(text.startswith("worker evaluator ended with code 7") for text in events(run))
 
 
@@ -304,15 +304,15 @@ def test_a_notice_keeps_its_first_line_and_the_last_ones() -> None:
 
 
 def test_a_worker_killed_from_outside_is_told_in_the_event_log_and_on_the_terminal_if_it_is_killed_again(
-    processes: Processes,
+    commands: Processes,
 ) -> None:
-    run = processes.folder / "run"
-    started = processes.start("t4nmtd", "train", "--task", "task8", "--run-dir", str(run), "--no-dashboard")
+    run = commands.folder / "run"
+    started = commands.start("t4nmtd", "train", "--task", "task8", "--run-dir", str(run), "--no-dashboard")
     for times in (1, 2):
-        processes.until(lambda: f"evaluator takes evaluator (epoch {times})" in events(run), "it evaluates")  # noqa: B023
+        commands.until(lambda: f"evaluator takes evaluator (epoch {times})" in events(run), "it evaluates")  # noqa: B023
         os.kill(worker_number(run, "evaluator") or 0, signal.SIGKILL)
         says = "worker evaluator was killed by SIGKILL"
-        processes.until(lambda: sum(says in text for text in events(run)) == times, "the event log has it")  # noqa: B023
+        commands.until(lambda: sum(says in text for text in events(run)) == times, "the event log has it")  # noqa: B023
         assert started.err.count(says) == times - 1
 
 

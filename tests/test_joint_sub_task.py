@@ -28,10 +28,10 @@ def flags() -> list[str]:
     return [part for flag in (*TINY, "evaluation.every=500") for part in ("--set", flag)]
 
 
-def test_a_serial_run_keeps_its_files_under_safe_names(tmp_path: Path, processes: Processes) -> None:
+def test_a_serial_run_keeps_its_files_under_safe_names(tmp_path: Path, commands: Processes) -> None:
     task, run = own_task(tmp_path, JOINT), tmp_path / "run"
     where = ["--run-dir", str(run), "--max-interactions", "1500", "--tensorboard", "on"]
-    training = processes.start("t4nmtd", "train", "--serial", "--task", str(task), *where, *flags())
+    training = commands.start("t4nmtd", "train", "--serial", "--task", str(task), *where, *flags())
     assert training.wait(90) in (0, 3), training.story()
     with (run / "metrics" / f"{FILE}.csv").open(encoding="utf-8") as file:
         assert int(list(csv.DictReader(file))[-1]["interactions"]) > 0
@@ -41,21 +41,21 @@ def test_a_serial_run_keeps_its_files_under_safe_names(tmp_path: Path, processes
     assert policy.decomposition.pids == (PID, "right")
 
 
-def test_a_worker_takes_it_by_name_and_the_dashboard_shows_it(tmp_path: Path, processes: Processes) -> None:
+def test_a_worker_takes_it_by_name_and_the_dashboard_shows_it(tmp_path: Path, commands: Processes) -> None:
     task, run, picture = own_task(tmp_path, JOINT), tmp_path / "run", tmp_path / "page.svg"
     bound = ["--bind", LOOPBACK, "--publish", LOOPBACK, "--no-dashboard", "--run-dir", str(run)]
-    coordinator = processes.start("t4nmtd-coordinator", "--task", str(task), *bound, *flags())
-    processes.until(lambda: (run / "endpoints.json").exists(), "the coordinator listens")
+    coordinator = commands.start("t4nmtd-coordinator", "--task", str(task), *bound, *flags())
+    commands.until(lambda: (run / "endpoints.json").exists(), "the coordinator listens")
     control, state = endpoints(run)
     kept = ["--checkpoints", str(run / "checkpoints"), "--checkpoint-every", "0.5"]
-    worker = processes.start("t4nmtd-worker", "--pid", PID, "--connect", control, *kept)
+    worker = commands.start("t4nmtd-worker", "--pid", PID, "--connect", control, *kept)
     folder = run / "checkpoints" / FILE
-    processes.until(folder.exists, "the worker writes a checkpoint")
-    shown = processes.start("t4nmtd", "dashboard", "--connect", state, "--svg", str(picture))
+    commands.until(folder.exists, "the worker writes a checkpoint")
+    shown = commands.start("t4nmtd", "dashboard", "--connect", state, "--svg", str(picture))
     assert shown.wait(60) == 0, shown.story()
     assert "left&amp;again" in picture.read_text(encoding="utf-8").replace("&#160;", " ")
     assert worker.process.poll() is None, worker.story()
-    asked = processes.start("t4nmtd", "status", "--connect", control, "--json")
+    asked = commands.start("t4nmtd", "status", "--connect", control, "--json")
     assert asked.wait(30) == 0, asked.story()
     assert PID in json.dumps(json.loads(asked.out))
     assert coordinator.process.poll() is None, coordinator.story()

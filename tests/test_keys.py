@@ -325,7 +325,7 @@ def soon(holds: Callable[[], object]) -> None:
 @pytest.fixture
 def running(folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Running]:
     monkeypatch.setattr("coordinator.service.FAREWELL_S", 0.0)
-    monkeypatch.setattr("coordinator.service.LONGEST_FAREWELL_S", 4.0)  # nobody here says a last word
+    monkeypatch.setattr("coordinator.service.LONGEST_FAREWELL_S", 0.3)  # nobody here says a last word
     monkeypatch.setattr("t4nmtd_dist.wire.auth.allow_list.REREAD_S", 0.05)
     state = CoordinatorState(small_task(), RunSettings(seed=0, max_interactions=1000))
     service = CoordinatorService(state, RunStorage(tmp_path / "run"), Access(FREE_PORT, FREE_PORT, folder))

@@ -11,12 +11,10 @@ from t4nmtd_dist.wire.codec import decode, encode
 from t4nmtd_dist.wire.messages import KINDS
 
 
-@pytest.mark.process
+@pytest.mark.command
 @pytest.mark.training
-@pytest.mark.process
 @pytest.mark.timeout(600)
 @pytest.mark.parametrize("task", oracle.SHORTER)
-@pytest.mark.command
 def test_a_short_training_comes_to_the_recorded_numbers(task: str) -> None:
     recorded = oracle.load("serial.json")
     other = oracle.same_machine(recorded)
@@ -59,9 +57,8 @@ def test_the_samples_have_every_kind_and_field() -> None:
     assert set(oracle.load("wire.json")) == set(fields)
 
 
-@pytest.mark.process
-@pytest.mark.parametrize("task", oracle.TASKS)
 @pytest.mark.command
+@pytest.mark.parametrize("task", oracle.TASKS)
 def test_tasks_compile_to_what_was_recorded(task: str) -> None:
     found = oracle.inspect_json(task)
     assert found == (oracle.RECORDED / "inspect" / f"{task}.json").read_text(encoding="utf-8")

@@ -144,10 +144,10 @@ def test_the_pages_code_is_the_examples() -> None:
 
 @pytest.mark.training
 @pytest.mark.timeout(280)
-def test_the_example_is_trained_until_solved(processes: Processes) -> None:
-    run = processes.folder / "run"
+def test_the_example_is_trained_until_solved(commands: Processes) -> None:
+    run = commands.folder / "run"
     arguments = ["--task", str(EXAMPLE), "--run-dir", str(run), "--no-dashboard", "--seed", "1"]
-    training = processes.start("t4nmtd", "train", *arguments)
+    training = commands.start("t4nmtd", "train", *arguments)
     assert training.wait(240) == 0, training.story()
     summary = json.loads((run / "summary.json").read_text(encoding="utf-8"))
     assert (summary["solved"], summary["success_rate"]) == (True, 1.0)
@@ -169,11 +169,11 @@ def module(path: Path) -> ModuleType:
 
 @pytest.mark.parametrize("program", ["t4nmtd", "t4nmtd-coordinator"])
 def test_a_labelling_function_that_is_wrong_stops_a_run_before_anything_is_written(
-    program: str, processes: Processes
+    program: str, commands: Processes
 ) -> None:
-    run = processes.folder / "run"
-    arguments = ["--task", str(own_task(processes.folder, BROKEN)), "--run-dir", str(run), "--no-dashboard"]
-    started = processes.start(program, *(["train"] if program == "t4nmtd" else []), *arguments)
+    run = commands.folder / "run"
+    arguments = ["--task", str(own_task(commands.folder, BROKEN)), "--run-dir", str(run), "--no-dashboard"]
+    started = commands.start(program, *(["train"] if program == "t4nmtd" else []), *arguments)
     assert started.wait(60) == 2
     (line,) = started.err.splitlines()
     assert line.startswith(f"{program}: own_environments:undeclared reported 'middle', which is not declared")

@@ -129,19 +129,19 @@ def test_states_of_an_older_coordinator_are_drawn() -> None:
 # From the command line
 
 
-def run_of(processes: Processes, *flags: str) -> str:
+def run_of(commands: Processes, *flags: str) -> str:
     """The only line that a serial training of the corridor prints."""
     settings = [part for flag in flags for part in ("--set", flag)]
-    task = own_task(processes.folder, CORRIDOR)
-    arguments = ["--serial", "--task", str(task), "--run-dir", str(processes.folder / "run"), *settings]
-    started = processes.start("t4nmtd", "train", *arguments)
+    task = own_task(commands.folder, CORRIDOR)
+    arguments = ["--serial", "--task", str(task), "--run-dir", str(commands.folder / "run"), *settings]
+    started = commands.start("t4nmtd", "train", *arguments)
     assert started.wait(60) in (0, 3), started.story()
     (line,) = started.out.splitlines()
     return line
 
 
-def test_training_ends_with_both_counts(processes: Processes) -> None:
-    line, run = run_of(processes), processes.folder / "run"
+def test_training_ends_with_both_counts(commands: Processes) -> None:
+    line, run = run_of(commands), commands.folder / "run"
     told = json.loads((run / "summary.json").read_text(encoding="utf-8"))
     assert told["solved"]
     first, total = told["interactions"], told["interactions_total"]
@@ -151,14 +151,14 @@ def test_training_ends_with_both_counts(processes: Processes) -> None:
 
 
 def test_evaluate_plays_as_the_export_says_or_as_it_is_told(
-    processes: Processes, capsys: pytest.CaptureFixture[str]
+    commands: Processes, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    run_of(processes, "evaluation.actions=sampled", "max_interactions=300")
+    run_of(commands, "evaluation.actions=sampled", "max_interactions=300")
 
     def evaluated(*arguments: str) -> tuple[dict[str, Any], str]:
         told = []
         for form in (["--json"], []):
-            command = ["evaluate", str(processes.folder / "run"), "--episodes", "10", *arguments, *form]
+            command = ["evaluate", str(commands.folder / "run"), "--episodes", "10", *arguments, *form]
             assert tyro.cli(Command, args=command).run() == 0  # type: ignore[arg-type]
             told.append(capsys.readouterr().out)
         return json.loads(told[0]), told[1]

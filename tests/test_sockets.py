@@ -183,7 +183,7 @@ def service_in(folder: Path, endpoints: tuple[str, str] = (FREE_PORT, FREE_PORT)
 @pytest.fixture
 def running(tmp_path: Path, context: Context, monkeypatch: pytest.MonkeyPatch) -> Iterator[Running]:
     monkeypatch.setattr("coordinator.service.FAREWELL_S", 0.0)
-    monkeypatch.setattr("coordinator.service.LONGEST_FAREWELL_S", 4.0)  # nobody here says a last word
+    monkeypatch.setattr("coordinator.service.LONGEST_FAREWELL_S", 0.3)  # nobody here says a last word
     service = service_in(tmp_path)
     thread = threading.Thread(target=service.serve, daemon=True)
     thread.start()

@@ -186,18 +186,18 @@ def test_a_serial_run_that_was_solved_is_resumed_to_write_its_result(tmp_path: P
     assert not (run.checkpoints / "serial").exists()
 
 
-def test_a_resume_of_a_solved_run_writes_its_result_without_training(tmp_path: Path, processes: Processes) -> None:
+def test_a_resume_of_a_solved_run_writes_its_result_without_training(tmp_path: Path, commands: Processes) -> None:
     run = Run(tmp_path)
     solve(run.talk)
     run.checkpoint()
     interactions = run.talk.state.interactions
-    resumed = processes.start("t4nmtd", "train", "--resume", str(run.directory.path), "--no-dashboard")
+    resumed = commands.start("t4nmtd", "train", "--resume", str(run.directory.path), "--no-dashboard")
     assert resumed.wait(90) == 0, resumed.story()
     summary = run.directory.read_summary()
     assert summary["solved"]
     assert summary["interactions_total"] == interactions
     assert run.policy.exists()
     assert "solved" in resumed.out
-    again = processes.start("t4nmtd", "train", "--resume", str(run.directory.path), "--no-dashboard")
+    again = commands.start("t4nmtd", "train", "--resume", str(run.directory.path), "--no-dashboard")
     assert again.wait(60) == 0
     assert "solved task7 already" in again.out

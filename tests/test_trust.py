@@ -61,14 +61,14 @@ def stranger(tmp_path: Path) -> Stranger:
     return Stranger(tmp_path)
 
 
-def start(processes: Processes, program: str, *arguments: str, user: str = "me") -> Started:
+def start(commands: Processes, program: str, *arguments: str, user: str = "me") -> Started:
     """A command of a user whose trusted code is remembered in a folder of the test's own."""
-    env = {"XDG_STATE_HOME": str(processes.folder / user), "PYTHONPATH": TESTS}
-    return processes.start(program, *arguments, env=env)
+    env = {"XDG_STATE_HOME": str(commands.folder / user), "PYTHONPATH": TESTS}
+    return commands.start(program, *arguments, env=env)
 
 
-def refused(processes: Processes, started: Started, stranger: Stranger, *texts: str) -> None:
-    processes.until(lambda: stranger.mark.exists() or started.process.poll() is not None, "it refuses", END_S)
+def refused(commands: Processes, started: Started, stranger: Stranger, *texts: str) -> None:
+    commands.until(lambda: stranger.mark.exists() or started.process.poll() is not None, "it refuses", END_S)
     assert not stranger.mark.exists(), f"the stranger's code was run\n{started.story()}"
     assert started.wait(END_S) == 2, started.story()
     assert "Traceback" not in started.err, started.story()
@@ -81,21 +81,21 @@ def refused(processes: Processes, started: Started, stranger: Stranger, *texts: 
 
 @pytest.mark.parametrize("attack", ATTACKS)
 def test_evaluating_a_strangers_policy_runs_nothing_that_it_names(
-    attack: str, processes: Processes, stranger: Stranger
+    attack: str, commands: Processes, stranger: Stranger
 ) -> None:
     environment = stranger.attacks()[attack]
     policy = stranger.policy(environment)
     refused(
-        processes, start(processes, "t4nmtd", "evaluate", str(policy), "--episodes", "1"), stranger, environment["id"]
+        commands, start(commands, "t4nmtd", "evaluate", str(policy), "--episodes", "1"), stranger, environment["id"]
     )
 
 
 @pytest.mark.parametrize("attack", ["a function of Python's", "a labelling function"])
 def test_recording_a_strangers_policy_runs_nothing_that_it_names(
-    attack: str, processes: Processes, stranger: Stranger
+    attack: str, commands: Processes, stranger: Stranger
 ) -> None:
-    policy, film = stranger.policy(stranger.attacks()[attack]), processes.folder / "film.gif"
-    refused(processes, start(processes, "t4nmtd", "record", str(policy), "--out", str(film)), stranger)
+    policy, film = stranger.policy(stranger.attacks()[attack]), commands.folder / "film.gif"
+    refused(commands, start(commands, "t4nmtd", "record", str(policy), "--out", str(film)), stranger)
     assert not film.exists()
 
 
@@ -103,29 +103,29 @@ def test_recording_a_strangers_policy_runs_nothing_that_it_names(
     "program", [("t4nmtd", "train"), ("t4nmtd", "train", "--serial"), ("t4nmtd-coordinator",)], ids=" ".join
 )
 def test_resuming_a_strangers_run_runs_nothing_that_it_names(
-    program: tuple[str, ...], processes: Processes, stranger: Stranger
+    program: tuple[str, ...], commands: Processes, stranger: Stranger
 ) -> None:
     run = stranger.run(stranger.attacks()["a function of Python's"], serial="--serial" in program)
     before = sorted(run.rglob("*"))
     refused(
-        processes, start(processes, *program, "--no-dashboard", "--resume", str(run)), stranger, "'os:system'", str(run)
+        commands, start(commands, *program, "--no-dashboard", "--resume", str(run)), stranger, "'os:system'", str(run)
     )
     assert sorted(run.rglob("*")) == before
 
 
-def test_trust_lets_it_run(processes: Processes, stranger: Stranger) -> None:
+def test_trust_lets_it_run(commands: Processes, stranger: Stranger) -> None:
     policy = stranger.policy(stranger.attacks()["a module of their own"])
-    evaluated = start(processes, "t4nmtd", "evaluate", str(policy), "--episodes", "1", "--trust")
+    evaluated = start(commands, "t4nmtd", "evaluate", str(policy), "--episodes", "1", "--trust")
     assert evaluated.wait(END_S) in (0, 2)  # the environment reports other propositions than task 7's
     assert stranger.mark.exists(), evaluated.story()
 
 
-def test_modules_in_a_strangers_folder_shadow_nothing(processes: Processes, stranger: Stranger) -> None:
+def test_modules_in_a_strangers_folder_shadow_nothing(commands: Processes, stranger: Stranger) -> None:
     """A bundled environment opens without trust, and the folder that comes with it is not searched."""
     stranger.plant("envs/__init__", "envs/frozenlake", "envs.frozenlake", "pygame", "pymunk", "mujoco", "torch")
     for name in ("t4nmtd/FrozenLake-v0", "t4nmtd/Waterworld-v0"):
         policy = stranger.policy({"id": f"envs:{name}", "path": str(stranger.code)})
-        evaluated = start(processes, "t4nmtd", "evaluate", str(policy), "--episodes", "1")
+        evaluated = start(commands, "t4nmtd", "evaluate", str(policy), "--episodes", "1")
         evaluated.wait(END_S)
         assert not stranger.mark.exists(), evaluated.story()
         assert "--trust" not in evaluated.err, evaluated.story()
@@ -134,32 +134,32 @@ def test_modules_in_a_strangers_folder_shadow_nothing(processes: Processes, stra
 # What is the user's own
 
 
-def test_what_the_user_trained_here_is_his_own(processes: Processes, stranger: Stranger) -> None:
+def test_what_the_user_trained_here_is_his_own(commands: Processes, stranger: Stranger) -> None:
     """Nobody is asked about his own run, policy or module, changed or not; somebody else is."""
     stranger.plant("planted")
-    task, run = processes.folder / "own.toml", processes.folder / "run"
+    task, run = commands.folder / "own.toml", commands.folder / "run"
     task.write_text(OWN, encoding="utf-8")
     command = ["--serial", "--no-dashboard", "--run-dir", str(run)]
-    trained = start(processes, "t4nmtd", "train", *command, "--task", str(task), "--max-interactions", "300")
+    trained = start(commands, "t4nmtd", "train", *command, "--task", str(task), "--max-interactions", "300")
     assert trained.wait(END_S) == 3, trained.story()
     policy = ("t4nmtd", "evaluate", str(run), "--episodes", "1")
     resumed = ("t4nmtd", "train", *command, "--resume", str(run), "--max-interactions", "400")
     stranger.mark.unlink()
     for other in (policy, resumed):
-        refused(processes, start(processes, *other, user="other"), stranger, "'planted:Corridor'")
+        refused(commands, start(commands, *other, user="other"), stranger, "'planted:Corridor'")
     with (stranger.code / "planted.py").open("a", encoding="utf-8") as module:
         module.write("\n# changed\n")
-    evaluated = start(processes, *policy)
+    evaluated = start(commands, *policy)
     assert evaluated.wait(END_S) == 0, evaluated.story()
-    trained = start(processes, *resumed)
+    trained = start(commands, *resumed)
     assert trained.wait(END_S) == 3, trained.story()
 
 
-def at_a_terminal(processes: Processes, policy: Path, answer: str) -> tuple[int, str]:
+def at_a_terminal(commands: Processes, policy: Path, answer: str) -> tuple[int, str]:
     """The exit code of an evaluation, and what it showed, when a user types an answer to its question."""
     ours, theirs = pty.openpty()
-    env = {"XDG_STATE_HOME": str(processes.folder / "me"), "PYTHONPATH": TESTS}
-    started = processes.start("t4nmtd", "evaluate", str(policy), "--episodes", "1", env=env, terminal=theirs)
+    env = {"XDG_STATE_HOME": str(commands.folder / "me"), "PYTHONPATH": TESTS}
+    started = commands.start("t4nmtd", "evaluate", str(policy), "--episodes", "1", env=env, terminal=theirs)
     os.close(theirs)
     shown = b""
 
@@ -183,15 +183,15 @@ def at_a_terminal(processes: Processes, policy: Path, answer: str) -> tuple[int,
 
 @pytest.mark.parametrize(("answer", "runs"), [("", False), ("no", False), ("y", True), ("Yes", True)])
 def test_a_user_at_a_terminal_is_asked_and_remembered(
-    answer: str, runs: bool, processes: Processes, stranger: Stranger
+    answer: str, runs: bool, commands: Processes, stranger: Stranger
 ) -> None:
     policy = stranger.policy(stranger.attacks()["a labelling function"])
-    code, shown = at_a_terminal(processes, policy, answer)
+    code, shown = at_a_terminal(commands, policy, answer)
     assert "environment.labels = 'planted:ends'" in shown
     assert stranger.mark.exists() == runs, shown
     assert code == 2  # its labels raise, if they are read
     stranger.mark.unlink(missing_ok=True)
-    again = start(processes, "t4nmtd", "evaluate", str(policy), "--episodes", "1")
+    again = start(commands, "t4nmtd", "evaluate", str(policy), "--episodes", "1")
     assert again.wait(END_S) == 2
     assert stranger.mark.exists() == runs, again.story()
     assert ("--trust" in again.err) != runs
@@ -313,45 +313,43 @@ def test_processes_remember_at_the_same_time(state: Path) -> None:
 # Workers
 
 
-def coordinator_of_a_stranger(processes: Processes, stranger: Stranger, *arguments: str) -> Path:
+def coordinator_of_a_stranger(commands: Processes, stranger: Stranger, *arguments: str) -> Path:
     stranger.plant("planted")
     task, run = stranger.folder / "own.toml", stranger.folder / "run"
     task.write_text(OWN, encoding="utf-8")
     where = ["--bind", "tcp://127.0.0.1:*", "--publish", "tcp://127.0.0.1:*", "--no-dashboard"]
     command = ["--task", str(task), "--run-dir", str(run), *where, *arguments]
-    start(processes, "t4nmtd-coordinator", *command, user="stranger")
-    processes.until(lambda: (run / "endpoints.json").exists(), "the coordinator listens")
+    start(commands, "t4nmtd-coordinator", *command, user="stranger")
+    commands.until(lambda: (run / "endpoints.json").exists(), "the coordinator listens")
     assert stranger.mark.exists()
     stranger.mark.unlink()
     return run
 
 
-def worker(processes: Processes, run: Path, *arguments: str, user: str = "me") -> Started:
-    return start(processes, "t4nmtd-worker", "--connect", endpoints(run)[0], *arguments, user=user)
+def worker(commands: Processes, run: Path, *arguments: str, user: str = "me") -> Started:
+    return start(commands, "t4nmtd-worker", "--connect", endpoints(run)[0], *arguments, user=user)
 
 
-def test_a_worker_runs_no_code_for_a_coordinator_that_it_does_not_know(
-    processes: Processes, stranger: Stranger
-) -> None:
-    run = coordinator_of_a_stranger(processes, stranger)
+def test_a_worker_runs_no_code_for_a_coordinator_that_it_does_not_know(commands: Processes, stranger: Stranger) -> None:
+    run = coordinator_of_a_stranger(commands, stranger)
     refused(
-        processes, worker(processes, run, "--pid", "left", "--instance", "a"), stranger, "'planted:Corridor'", "--keys"
+        commands, worker(commands, run, "--pid", "left", "--instance", "a"), stranger, "'planted:Corridor'", "--keys"
     )
-    refused(processes, worker(processes, run, "--evaluate"), stranger, "'planted:Corridor'", "--keys")
-    processes.until(lambda: any("left given back" in text for text in events(run)), "its lease is free again")
-    worker(processes, run, "--pid", "left", "--trust")
-    processes.until(stranger.mark.exists, "with --trust it works")
+    refused(commands, worker(commands, run, "--evaluate"), stranger, "'planted:Corridor'", "--keys")
+    commands.until(lambda: any("left given back" in text for text in events(run)), "its lease is free again")
+    worker(commands, run, "--pid", "left", "--trust")
+    commands.until(stranger.mark.exists, "with --trust it works")
 
 
-def test_a_worker_that_is_started_where_the_task_was_needs_no_trust(processes: Processes, stranger: Stranger) -> None:
-    run = coordinator_of_a_stranger(processes, stranger)
-    worker(processes, run, "--pid", "left", user="stranger")
-    processes.until(stranger.mark.exists, "a worker of the user who named the task file works")
+def test_a_worker_that_is_started_where_the_task_was_needs_no_trust(commands: Processes, stranger: Stranger) -> None:
+    run = coordinator_of_a_stranger(commands, stranger)
+    worker(commands, run, "--pid", "left", user="stranger")
+    commands.until(stranger.mark.exists, "a worker of the user who named the task file works")
 
 
-def test_a_worker_takes_code_from_a_coordinator_with_keys(processes: Processes, stranger: Stranger) -> None:
-    keys = processes.folder / "keys"
+def test_a_worker_takes_code_from_a_coordinator_with_keys(commands: Processes, stranger: Stranger) -> None:
+    keys = commands.folder / "keys"
     make_coordinator_folder(keys, clients=1)
-    run = coordinator_of_a_stranger(processes, stranger, "--keys", str(keys))
-    worker(processes, run, "--pid", "left", "--keys", str(keys / "clients" / "client1"))
-    processes.until(stranger.mark.exists, "the worker works")
+    run = coordinator_of_a_stranger(commands, stranger, "--keys", str(keys))
+    worker(commands, run, "--pid", "left", "--keys", str(keys / "clients" / "client1"))
+    commands.until(stranger.mark.exists, "the worker works")

@@ -212,8 +212,8 @@ def test_a_module_that_cannot_be_imported_is_told_with_file_and_line(
 
 
 @pytest.mark.parametrize("place", ["step", "labels", "get_state"])
-def test_an_error_in_mid_training_ends_the_run_and_is_shown(place: str, processes: Processes) -> None:
-    (processes.folder / "broken.py").write_text(BROKEN, encoding="utf-8")
+def test_an_error_in_mid_training_ends_the_run_and_is_shown(place: str, commands: Processes) -> None:
+    (commands.folder / "broken.py").write_text(BROKEN, encoding="utf-8")
     text = f"""
 name = "corridor"
 formula = "F(left & X(F(right)))"
@@ -231,12 +231,12 @@ rollout = 16
 [evaluation]
 every = 1000000
 """
-    run = processes.folder / "run"
-    command = ["--task", str(own_task(processes.folder, text)), "--run-dir", str(run), "--no-dashboard"]
-    started = processes.start("t4nmtd", "train", *command, env={"PYTHONPATH": str(Path(__file__).parent)})
+    run = commands.folder / "run"
+    command = ["--task", str(own_task(commands.folder, text)), "--run-dir", str(run), "--no-dashboard"]
+    started = commands.start("t4nmtd", "train", *command, env={"PYTHONPATH": str(Path(__file__).parent)})
     assert started.wait(END_S) == 2, started.story()
     _, _, told = started.err.partition(
         "t4nmtd-worker: labelling" if place == "labels" else "t4nmtd-worker: environment"
     )
     assert "Traceback" not in started.err, started.story()
-    assert f'File "{processes.folder / "broken.py"}", line {LINE}, in fail' in told, started.story()
+    assert f'File "{commands.folder / "broken.py"}", line {LINE}, in fail' in told, started.story()
