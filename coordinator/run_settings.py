@@ -1,4 +1,4 @@
-"""What a run adds to its task."""
+"""Settings of a run, beside its task."""
 
 from __future__ import annotations
 
@@ -7,10 +7,10 @@ from dataclasses import dataclass
 
 @dataclass(frozen=True)
 class RunSettings:
-    """What a run adds to its task.
+    """Settings of a run, beside its task.
 
     Attributes:
-        run_id: names the run, however often it is resumed, so that workers know which checkpoints are of it.
+        run_id: identifies the run across resumes, so that workers recognise its checkpoints.
         lease_s: seconds of silence after which a worker counts as lost.
     """
 
