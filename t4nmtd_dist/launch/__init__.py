@@ -1,1 +1,1 @@
-"""Starting the roles: as local processes, or in lock-step in one process."""
+"""Launchers: start all roles as local processes, or in lock-step in one process."""
