@@ -1,7 +1,7 @@
 """Lake steps per second on one core: our batch of 64 against gymnasium FrozenLake-v1 8x8, same run.
 
-Random actions (pick and drop only in ours); ended lakes are reset within the
-measured time. Run ``python benchmarks/lake_speed.py [--json]``.
+Random actions (pick and drop only in ours); the time includes resets. Run
+``python benchmarks/lake_speed.py [--json]``.
 """
 
 from __future__ import annotations
@@ -23,6 +23,7 @@ STEPS = 2000  # per repeat, batches or single steps
 
 
 def our_batch(observation: str) -> Callable[[], int]:
+    """Random steps of our batch of lakes."""
     batch = gymnasium.make_vec("t4nmtd/FrozenLake-v0", BATCH, goals=2, observation=observation)
     actions = np.random.default_rng(0).integers(0, 6, (STEPS, BATCH))
     batch.reset(seed=0)
@@ -38,6 +39,7 @@ def our_batch(observation: str) -> Callable[[], int]:
 
 
 def single(env: gymnasium.Env, actions: int) -> Callable[[], int]:
+    """Random steps of one lake."""
     numbers = np.random.default_rng(0).integers(0, actions, STEPS).tolist()
     env.reset(seed=0)
 
@@ -51,6 +53,7 @@ def single(env: gymnasium.Env, actions: int) -> Callable[[], int]:
 
 
 def gymnasium_batch() -> Callable[[], int]:
+    """Random steps of gymnasium's vectorised lakes."""
     batch = gymnasium.make_vec("FrozenLake-v1", BATCH, vectorization_mode="sync", map_name="8x8", is_slippery=False)
     actions = np.random.default_rng(0).integers(0, 4, (STEPS // BATCH, BATCH))
     batch.reset(seed=0)
@@ -64,7 +67,7 @@ def gymnasium_batch() -> Callable[[], int]:
 
 
 def steps_per_second(runs: dict[str, Callable[[], int]], repeats: int) -> dict[str, float]:
-    """Medians over the repeats, taken in turns so that a busy machine slows all alike; the first warms up."""
+    """Medians over the repeats, which alternate so that load slows all alike; the first warms up."""
     speeds: dict[str, list[float]] = {name: [] for name in runs}
     for _ in range(repeats + 1):
         for name, run in runs.items():
@@ -75,6 +78,7 @@ def steps_per_second(runs: dict[str, Callable[[], int]], repeats: int) -> dict[s
 
 
 def main() -> None:
+    """Parse the arguments, measure, and print the results."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--json", action="store_true", help="print one JSON object and nothing else")
     parser.add_argument("--repeats", type=int, default=7)

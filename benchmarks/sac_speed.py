@@ -1,11 +1,11 @@
 """Gradient updates per second of our SAC against Stable-Baselines3's, same networks and batch, one thread each.
 
-An update is all of: sampling the batch, critics, actor, entropy coefficient, target networks. Ours samples as a learner
-does with the default settings: half from a peer's experience, a share from before successes, a share read in drawn DFA
-states, n-step returns, rows whose value is a peer's; asking for these values is not in it. The two take turns, so that
-a busy machine slows both alike; processor time is what counts, wall-clock time is shown beside it. The share of the
-peak is the update's necessary arithmetic against the rate of square sgemm products measured in the same turns.
-Run ``python benchmarks/sac_speed.py [--json]``; it needs Stable-Baselines3 (the ``test`` extra).
+An update includes sampling, critics, actor, entropy coefficient and target networks. Ours samples like a learner with
+default settings: half from a peer's experience, shares from before successes and in random DFA states, n-step returns,
+and rows with a peer's value; it excludes querying these values. The two take turns, so that load slows both alike; CPU
+time counts, wall time is shown. The peak share is the update's minimum arithmetic against the rate of square sgemm
+products in the same turns. Run ``python benchmarks/sac_speed.py [--json]``; it needs Stable-Baselines3 (the ``test``
+extra).
 """
 
 from __future__ import annotations
@@ -50,7 +50,7 @@ PEAK_SIDE = 256
 
 
 class Spaces(gymnasium.Env):
-    """Never stepped: Stable-Baselines3 takes its sizes from an environment."""
+    """Gives Stable-Baselines3 the sizes; never stepped."""
 
     observation_space = gymnasium.spaces.Box(-1, 1, (OBSERVATION,), np.float32)
     action_space = gymnasium.spaces.Box(-1, 1, (ACTIONS,), np.float32)
@@ -58,7 +58,7 @@ class Spaces(gymnasium.Env):
 
 @dataclass
 class Timed:
-    """A turn's work, how often it is done in a turn, and seconds per run of it in each turn."""
+    """Work of a turn: repetitions per turn, and seconds per repetition in each turn."""
 
     work: Callable[[], object]
     repeats: int
@@ -66,7 +66,7 @@ class Timed:
     wall: list[float] = field(default_factory=list)
 
     def take_turn(self) -> None:
-        """Do the work and note how long it took."""
+        """Run and time the work."""
         cpu, wall = time.process_time(), time.perf_counter()
         for _ in range(self.repeats):
             self.work()
@@ -75,7 +75,7 @@ class Timed:
 
 
 class Sampling:
-    """Batches as a learner with successes draws them, from random experience of its own and of one peer."""
+    """Draws batches like a learner with successes, from random experience of its own and one peer."""
 
     def __init__(self) -> None:
         task = compile_task(load_task(TASK))
@@ -92,7 +92,7 @@ class Sampling:
         self._source.others = {next(pid for pid in pids if pid != PID): peers}
 
     def _filled(self, task: CompiledTask, readable: NDArray[np.int32]) -> ReplayBuffer:
-        """Observations are as wide as leaves 76 for the networks; every 50th step ends an attempt, half succeed."""
+        """A buffer whose observations leave 76 inputs for the networks; attempts have 50 steps, half succeed."""
         rng, width, symbols = self._rng, OBSERVATION - task.dfa.states, task.dfa.delta.shape[1]
         experience = ReplayBuffer(STORED // WORLDS, WORLDS, width, ACTIONS)
         for step in range(STORED // WORLDS):
@@ -110,13 +110,14 @@ class Sampling:
         return experience
 
     def draw(self) -> tuple[Batch, PeerSoftValues]:
-        """A batch for the networks, and values of peers for the rows that are theirs."""
+        """A batch, and peers' values for the rows that use them."""
         drawn = self._source.draw(0, SUCCESS)
         values, log_probs = self._rng.standard_normal((2, len(drawn.asked_rows)), np.float32)
         return drawn.tensors(), PeerSoftValues(drawn.asked_rows, values, log_probs)
 
 
 def our_update(*, layer_norm: bool, actor_every: int = 1) -> Callable[[], object]:
+    """One update of ours, sampling included."""
     settings = SACSettings(hidden=HIDDEN, layer_norm=layer_norm, actor_every=actor_every)
     updater = SACUpdater(OBSERVATION, ACTIONS, settings, seed=0)
     sampling = Sampling()
@@ -124,7 +125,7 @@ def our_update(*, layer_norm: bool, actor_every: int = 1) -> Callable[[], object
 
 
 def their_updates(count: int) -> Callable[[], object]:
-    """``count`` updates in one call of ``train``, as their learning loop would do them."""
+    """``count`` updates in one call of ``train``, as in their learning loop."""
     policy = {"net_arch": list(HIDDEN)}
     sac = SAC("MlpPolicy", Spaces(), buffer_size=STORED, batch_size=BATCH, policy_kwargs=policy, device="cpu", seed=0)
     sac.set_logger(Logger(None, []))
@@ -137,12 +138,13 @@ def their_updates(count: int) -> Callable[[], object]:
 
 
 def square_product() -> Callable[[], object]:
+    """One square sgemm product."""
     a, b, out = (torch.randn(PEAK_SIDE, PEAK_SIDE) for _ in range(3))
     return lambda: multiply(a, b, out)
 
 
 def update_gflop() -> float:
-    """The products that one update cannot do without, in GFLOP."""
+    """Minimum matrix products of one update, in GFLOP."""
     first, hidden = HIDDEN[0], sum(a * b for a, b in itertools.pairwise(HIDDEN))
     actor_in, critic_in = OBSERVATION * first, (OBSERVATION + ACTIONS) * first
     forward = 2 * (actor_in + hidden) + 3 * 2 * (critic_in + hidden)  # actor in s and s'; targets; critics twice
@@ -151,6 +153,7 @@ def update_gflop() -> float:
 
 
 def measure(turns: int, updates: int) -> dict[str, Timed]:
+    """Time all sides in turns, without a first warm-up turn."""
     timed = {
         "ours": Timed(our_update(layer_norm=False), updates),
         "ours, layer norm": Timed(our_update(layer_norm=True), updates),
@@ -170,6 +173,7 @@ def measure(turns: int, updates: int) -> dict[str, Timed]:
 
 
 def table(timed: dict[str, Timed], peak: float) -> str:
+    """The results as text."""
     theirs = timed["Stable-Baselines3"]
     lines = [f"{'fp32, batch 256, networks 256-256':<36}{'updates/s':>10}{'ms cpu':>9}{'ms wall':>9}{'times SB3':>11}"]
     for name, each in timed.items():
@@ -184,15 +188,17 @@ def table(timed: dict[str, Timed], peak: float) -> str:
 
 
 def ratio_of(theirs: Timed, ours: Timed) -> float:
-    """Median over the turns of their processor time over ours of the same turn."""
+    """Median over the turns of their CPU time divided by ours."""
     return statistics.median(their / our for their, our in zip(theirs.cpu, ours.cpu, strict=True))
 
 
 def peak_share(timed: dict[str, Timed], peak: float) -> float:
+    """Our update's arithmetic rate as a share of ``peak``."""
     return update_gflop() / statistics.median(timed["ours"].cpu) / peak
 
 
 def main() -> None:
+    """Parse the arguments, measure, and print the results."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--json", action="store_true", help="print one JSON object and nothing else")
     parser.add_argument("--turns", type=int, default=25, help="turns of each side")

@@ -27,7 +27,6 @@ class StateCheckpointing:
     """Writes what a resumed run needs of the coordinator.
 
     Args:
-        state: the coordinator's state.
         checkpoints: the run's checkpoint folder.
         every_s: checkpoint interval in seconds.
         tell: called with a line about every checkpoint, possibly from another thread.

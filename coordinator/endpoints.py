@@ -44,9 +44,6 @@ class Access:
 class BoundSockets:
     """Binds both sockets, with keys if given; use from one thread.
 
-    Args:
-        access: endpoints and access control.
-
     Raises:
         ConfigError: if an endpoint cannot be used.
         KeyFileError: if the keys cannot be used.

@@ -17,9 +17,6 @@ class ErrorBoundary:
     """Logs what failed and where; writes the traceback to stderr.
 
     It logs the same exception at the same place once in ten minutes.
-
-    Args:
-        log: called with a line for the event log.
     """
 
     def __init__(self, log: Log) -> None:

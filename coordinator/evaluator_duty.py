@@ -18,18 +18,7 @@ from t4nmtd_dist.wire.messages import EvaluationJob, EvaluationPoll, EvaluationR
 
 
 class EvaluatorDuty:
-    """Hands out evaluations of the composed policy.
-
-    Args:
-        task: the compiled task.
-        records: of all learners.
-        method: the rules of the method.
-        leasing: of the run.
-        clock: of the run.
-
-    Attributes:
-        schedule: the evaluation schedule and its results.
-    """
+    """Hands out evaluations of the composed policy."""
 
     def __init__(
         self,

@@ -44,11 +44,7 @@ class RunClock:
 
 
 class EventLog:
-    """The newest lines of the event log.
-
-    Args:
-        clock: of the run.
-    """
+    """The newest lines of the event log."""
 
     def __init__(self, clock: RunClock) -> None:
         self._clock = clock

@@ -20,11 +20,7 @@ Start = tuple[int, NDArray[Any]]
 
 
 class Intake:
-    """Checks weights and start states against the task.
-
-    Args:
-        task: the compiled task.
-    """
+    """Checks weights and start states against the task."""
 
     def __init__(self, task: CompiledTask) -> None:
         self._config, self._dfa_states = task.config, task.dfa.states

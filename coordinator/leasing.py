@@ -22,13 +22,6 @@ EVALUATOR = "evaluator"
 class Leasing:
     """Decides which worker trains each sub-task, and which evaluates.
 
-    Args:
-        task: the compiled task.
-        settings: of the run.
-        records: of all learners.
-        clock: of the run.
-        log: of the run.
-
     Attributes:
         learners: leases on the sub-tasks.
         evaluator: the lease on the evaluator role.

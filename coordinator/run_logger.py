@@ -24,8 +24,6 @@ class RunLogger:
     """Writes a run's events, metrics, summary and policy.
 
     Args:
-        state: the coordinator's state.
-        run: the run directory.
         tensorboard: whether to write TensorBoard event files as well.
         tell: called with a line about failed writes; a full disk does not end training.
 

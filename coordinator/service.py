@@ -62,7 +62,6 @@ class CoordinatorService:
     Args:
         state: the state machine; on resume, a fresh one for the stored run.
         storage: where and how to store the run.
-        access: endpoints and access control.
         by_hand: whether users start the workers and need the commands.
 
     Raises:

@@ -67,10 +67,6 @@ STARTS_PER_REPLY = 256
 class CoordinatorState:
     """Owns the task, the Q-table, the initial-state buffers, the leases, the newest weights and the counters.
 
-    Args:
-        task: the compiled task.
-        settings: of the run.
-
     Attributes:
         method: the rules of the method, with the table Q(q, sub-task).
         records: of each learner by pid, with its sub-task's initial-state buffer.

@@ -20,13 +20,7 @@ Records = Mapping[str, LearnerRecord]
 
 
 def stuck_lines(pid: str, records: Records, task: CompiledTask) -> list[str]:
-    """Lines about a stuck learner: symptoms, likely causes, settings to try; empty if it is not stuck.
-
-    Args:
-        pid: the sub-task.
-        records: of all learners.
-        task: the compiled task.
-    """
+    """Lines about a stuck learner: symptoms, likely causes, settings to try; empty if it is not stuck."""
     stats = records[pid].total
     if _waits(pid, stats, records, task):
         return [f"{pid}: {line}" for line in _waiting(pid, records, task)]

@@ -29,11 +29,9 @@ class _Held:
     """A checkpoint held back until the coordinator has counted its content.
 
     Attributes:
-        session: the learner.
         message: the message that reported all of the checkpoint's content.
         until: when to stop waiting.
         about: the checkpoint's metadata.
-        state: its content.
     """
 
     session: LearnerSession

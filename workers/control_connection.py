@@ -85,9 +85,6 @@ class ControlConnection:
     """The loop's side of the connection; call all methods from the loop's thread.
 
     Args:
-        context: the process's ZeroMQ context.
-        endpoint: of the coordinator.
-        instance: name of this worker.
         keys: this worker's, if the coordinator has keys.
         watch: detects a hung loop, whose leases are not renewed.
 

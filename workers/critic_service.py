@@ -83,7 +83,6 @@ class CriticService:
     """A ROUTER socket; ``serve`` publishes a sub-task's critic, ``allow`` sets the keys that may query it.
 
     Args:
-        context: the process's ZeroMQ context.
         endpoint: where to listen.
         advertise: host advertised to peers; by default the bound one.
         insecure: allow an address beyond loopback without keys.

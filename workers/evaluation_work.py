@@ -27,7 +27,6 @@ class EvaluationWork:
 
     Args:
         session: plays the episodes.
-        send: sends a message to the coordinator.
         clock: seconds.
     """
 

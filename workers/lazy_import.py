@@ -78,11 +78,7 @@ def check_trust(granted: Granted, coordinator: str, *, given: bool) -> None:
 
 
 class HeavyImports:
-    """Imports in a thread, so that the worker can still hear the coordinator and signals.
-
-    Args:
-        role: whose modules to import.
-    """
+    """Imports in a thread, so that the worker can still hear the coordinator and signals."""
 
     def __init__(self, role: Role) -> None:
         self._role: Role = role

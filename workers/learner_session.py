@@ -48,7 +48,6 @@ class LearnerSession:
     """A learner working under a lease.
 
     Args:
-        granted: the lease.
         arrays: weights granted with it, if the sub-task was trained before.
         device: device of the learner's networks.
         tell: called with a line about unusable weights or start states.

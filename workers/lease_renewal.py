@@ -28,7 +28,6 @@ class _Lease:
     """A lease under which the loop has reported.
 
     Attributes:
-        epoch: of the lease.
         renewed: time of its last report or renewal.
     """
 

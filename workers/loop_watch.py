@@ -32,10 +32,6 @@ class Loop(Protocol):
 class LoopWatch:
     """Measures how long the learner loop has made no progress; runs in the lease-renewing thread.
 
-    Args:
-        loop: the loop.
-        now: the clock.
-
     Attributes:
         idle_s: seconds without progress at the last check.
     """

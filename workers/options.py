@@ -70,9 +70,7 @@ class WorkerOptions:
 
     Attributes:
         connection: how to reach the coordinator.
-        role: learner or evaluator.
         pids: sub-tasks to train, by name or number; empty for the next free ones.
-        instance: name of this worker.
         critic: address of its critics.
         checkpoints: None to write none.
         device: device of its networks.

@@ -23,8 +23,6 @@ class PeerRegistry:
     """Peers that this worker's learners query for values and learn experience from.
 
     Args:
-        context: the process's ZeroMQ context.
-        instance: the worker's name.
         keys: this worker's own, if the coordinator has keys.
         tell: called with a line about problems.
 

@@ -49,7 +49,6 @@ class StandIn:
     """Takes the evaluator role for one evaluation at a time, when invited.
 
     Args:
-        instance: name of the worker.
         send: sends a message to the coordinator, numbered ``STAND_IN``.
         say: called with a line for the user.
         clock: seconds.

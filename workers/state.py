@@ -89,8 +89,6 @@ class WorkerState:
     """A worker's claims and leases.
 
     Args:
-        role: learner or evaluator.
-        instance: name of this process.
         pids: sub-tasks to claim; empty for the next free ones.
         coordinator: its endpoint, for messages to users.
         critic_endpoint: endpoint of this process's critics.

@@ -57,9 +57,6 @@ STOPPED = 130
 class Worker:
     """Holds leases and works under them until the run is over.
 
-    Args:
-        options: the worker's options.
-
     Raises:
         ConfigError: if an endpoint cannot be used.
         KeyFileError: if the keys cannot be used.

@@ -106,7 +106,6 @@ class BackgroundViewer:
     """The dashboard in a thread, for the coordinator's own terminal.
 
     Args:
-        context: the process's ZeroMQ context.
         endpoint: the coordinator's state endpoint.
         keys: this client's, if the coordinator has keys.
     """

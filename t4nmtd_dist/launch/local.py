@@ -89,9 +89,7 @@ class LocalProcesses:
     """The processes of one program; restarts dead workers, but a dead coordinator ends the run.
 
     Args:
-        program: the program.
         supervisor: notified of dead workers.
-        spawn: starts one role.
     """
 
     def __init__(self, program: Program, supervisor: Supervisor, spawn: Spawn) -> None:

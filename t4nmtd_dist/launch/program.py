@@ -28,7 +28,6 @@ class Role:
     """One process of a program.
 
     Attributes:
-        kind: what it does.
         name: unique in its program, and usable as a file name.
         pids: sub-tasks of a learner process.
         environment: additional environment variables.

@@ -52,9 +52,6 @@ class Worker:
     """A worker process and its history.
 
     Attributes:
-        name: of the role.
-        start: starts the process.
-        log: its log file.
         learns: whether it is a learner rather than an evaluator.
         process: the newest one.
         restarts: number of restarts.

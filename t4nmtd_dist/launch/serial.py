@@ -30,7 +30,6 @@ class SerialRun:
     """A training run in one process.
 
     Args:
-        task: the compiled task.
         settings: seed and budget.
         clock: seconds; for display, never for decisions.
         device: device of all networks.

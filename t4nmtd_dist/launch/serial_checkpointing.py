@@ -17,8 +17,6 @@ class SerialCheckpoints:
     """Writes and restores a serial run's checkpoints.
 
     Args:
-        run: the run.
-        directory: its folder.
         every_s: checkpoint interval in seconds.
     """
 

@@ -31,7 +31,6 @@ class SerialHandle:
     """A run in this process with its directory, logger and checkpoints.
 
     Args:
-        program: the program.
         supervisor: asked whether to stop waiting for disk space.
 
     Raises:

@@ -40,7 +40,6 @@ class Checkpoint:
 
     Attributes:
         about: its metadata (small JSON data).
-        state: the state itself.
     """
 
     path: Path

@@ -41,8 +41,6 @@ class RunCurves:
     """The evaluations of one run, in order.
 
     Attributes:
-        path: source folder.
-        task: name of the task.
         solved: whether the run ended because the task was solved.
         columns: by axis or metric, float64 [n] each: environment steps, seconds, success from 0 to 1, environment
             steps of an episode, validation reward.

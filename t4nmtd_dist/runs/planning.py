@@ -26,9 +26,7 @@ class RunPlan:
     """A run to start or resume.
 
     Attributes:
-        config: all settings.
         seed: of networks, exploration and environments.
-        directory: its folder.
         identity: constant across resumes.
         stopped: the run to resume, if any.
     """

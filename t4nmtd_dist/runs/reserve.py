@@ -10,11 +10,7 @@ RESERVE_FILE = ".reserve"
 
 
 class Reserve:
-    """A placeholder file in a run directory.
-
-    Args:
-        run: the run directory.
-    """
+    """A placeholder file in a run directory."""
 
     def __init__(self, run: Path) -> None:
         self._path = run / RESERVE_FILE

@@ -49,7 +49,6 @@ class Envelope:
     """A message with its arrays and sender.
 
     Attributes:
-        message: the typed body.
         arrays: by name; after decoding, read-only views of the frames.
         sender: the sender's self-declared name.
         id: message number; a reply repeats its request's.

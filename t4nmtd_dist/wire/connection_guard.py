@@ -40,7 +40,6 @@ class _Account:
     """Byte counts of one connection.
 
     Attributes:
-        connection: the TCP connection.
         base: bytes received when the socket was last drained.
         delivered: bytes of messages delivered since then.
         received: bytes received at the last check.
@@ -61,8 +60,6 @@ class ConnectionGuard:
     """Watches all connections of one bound socket in its own thread; create it before the socket is used.
 
     Args:
-        socket: the bound socket.
-        limits: of each connection.
         tell: called in that thread with a line about each connection shut down.
         failed: called in that thread with the outcome of each failed handshake.
     """

@@ -49,11 +49,7 @@ STATE_LIMITS = Limits(1024, 10, 1024, unread_bytes=4096, connections=64, queued=
 
 
 class RateLimiter:
-    """Two token buckets per connection, for messages and bytes.
-
-    Args:
-        limits: the rates.
-    """
+    """Two token buckets per connection, for messages and bytes."""
 
     def __init__(self, limits: Limits) -> None:
         self.limits = limits

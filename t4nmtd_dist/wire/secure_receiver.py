@@ -40,8 +40,6 @@ class SecureReceiver:
     connections whose key is no longer allowed.
 
     Args:
-        socket: the bound socket.
-        limits: of each connection.
         allowed: the allowed keys; None for a socket without keys.
         tell: called with a line about each connection ended or over its rate.
         guard: counts delivered bytes per connection.

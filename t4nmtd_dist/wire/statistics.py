@@ -23,7 +23,6 @@ class Declared:
     """A statistic's declaration.
 
     Attributes:
-        statistic: kind and views.
         most: maximum of its type.
         part: field of ``LearnerStats`` that holds its record; empty for its own fields.
     """

@@ -22,8 +22,6 @@ class StatusClient:
     """A client of a coordinator's control socket for status requests and notices.
 
     Args:
-        context: the process's ZeroMQ context.
-        endpoint: of the coordinator.
         keys: this client's, if the coordinator has keys.
 
     Raises:

@@ -13,11 +13,7 @@ REREAD_S = 0.5
 
 
 class AllowedKeys:
-    """Public keys with display names, replaceable from any thread.
-
-    Args:
-        keys: the initial set.
-    """
+    """Public keys with display names, replaceable from any thread."""
 
     def __init__(self, keys: Iterable[str] = ()) -> None:
         self._names: dict[str, str] = dict.fromkeys(keys, "")

@@ -32,7 +32,6 @@ class Authenticator:
     ZeroMQ checks keys only in the handshake; ``wire.secure_receiver`` handles later revocations.
 
     Args:
-        context: the process's ZeroMQ context.
         allowed: the list.
         refused: called in the authenticator's thread for every rejected client.
         for_good: tell rejected clients to give up rather than retry.

@@ -51,8 +51,6 @@ class _PeerConnection:
     """The connection to one peer.
 
     Attributes:
-        peer: its current address and version.
-        socket: connected to it.
         unsent: questions for the next request.
         waited: gatherings since the last request.
         in_flight: questions by request number.
@@ -92,8 +90,6 @@ class QueryPeers(PeerClient[_PeerConnection]):
     consecutive misses the client stops waiting for a peer and queries it at most every half second until it answers.
 
     Args:
-        context: the process's ZeroMQ context.
-        sender: sender name of the requests.
         keys: this worker's own, if the coordinator has keys.
         value_shape: shape of one answer: () for PPO, (2,) for SAC; others are rejected.
         clock: monotonic, in seconds.

@@ -32,8 +32,6 @@ class _PeerConnection:
     """The connection to one peer.
 
     Attributes:
-        peer: its current address and version.
-        socket: connected to it.
         origin: the peer's buffer that the steps count in; empty before the first answer.
         step: the next step to request.
         stored: the step after the last one stored; -1 if this connection stored none.
@@ -58,8 +56,6 @@ class PeerExperience(PeerClient[_PeerConnection]):
     Copies survive a peer's move or exit; a restarted peer sends everything again.
 
     Args:
-        context: the process's ZeroMQ context.
-        sender: sender name of the requests.
         make: creates the replay buffer for one peer.
         symbols: number of DFA input symbols.
         keys: this worker's own, if the coordinator has keys.

@@ -34,7 +34,6 @@ class PeerConnections(Generic[ConnectionT]):
     """One connection per peer.
 
     Attributes:
-        context: the process's ZeroMQ context.
         keys: this worker's own, if the coordinator has keys; the coordinator supplies each peer's public key.
         make: wraps a peer and its connected socket.
     """
@@ -72,8 +71,6 @@ class PeerClient(Generic[ConnectionT]):
     """Base of all clients of peers in other processes.
 
     Args:
-        context: the process's ZeroMQ context.
-        sender: sender name of the requests.
         keys: this worker's own, if the coordinator has keys.
         make: wraps a peer and its connected socket.
         clock: monotonic, in seconds.

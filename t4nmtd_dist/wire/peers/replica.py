@@ -30,8 +30,6 @@ class _PeerConnection:
     """The connection to one peer and the replica of its networks.
 
     Attributes:
-        peer: its current address and version.
-        socket: connected to it.
         copy: the replica; None until weights have arrived.
         version: of the replica.
         epoch: the peer's lease epoch at the pull; versions may restart under another.
@@ -69,8 +67,6 @@ class ReplicaPeers(PeerClient[_PeerConnection]):
     per peer. Rows of a peer without weights fall back to the learner's own critic. A moved peer's replica is dropped.
 
     Args:
-        context: the process's ZeroMQ context.
-        sender: sender name of the requests.
         make: creates a network to load peers' weights into.
         keys: this worker's own, if the coordinator has keys.
         clock: monotonic, in seconds.
