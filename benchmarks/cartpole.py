@@ -3,9 +3,9 @@
     python benchmarks/cartpole.py [--interactions 20000] [--seeds 0 1] [--json]
 
 Both use the same layer sizes, learning rate, batch, discount, target step, gradient clip and epsilon schedule. Both
-make one update per two interactions, with one-step targets, from a replay buffer that holds everything; time-outs
-bootstrap. Ours is Double DQN with tanh layers, theirs is DQN with ReLU layers. Ours runs the learners' ``DQN`` and
-``ReplayBuffer`` in the plain loop below, with a one-state DFA and CartPole's own reward.
+make one update per two interactions, with one-step targets, from an unbounded replay buffer; time-outs bootstrap. Ours
+is Double DQN with tanh layers, theirs DQN with ReLU layers. Ours runs the learners' ``DQN`` and ``ReplayBuffer`` in the
+plain loop below, with a one-state DFA and CartPole's own reward.
 
 Every return is the mean of 20 greedy episodes from the same starts; the maximum is 500.
 It needs Stable-Baselines3 (the ``test`` extra).
@@ -192,7 +192,6 @@ def compared(interactions: int, seeds: list[int]) -> dict[str, dict[str, Any]]:
 
 
 def main() -> None:
-    """Parse the arguments, run the comparison, and print it."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--interactions", type=int, default=20_000)
     parser.add_argument("--seeds", nargs="+", type=int, default=[0, 1])

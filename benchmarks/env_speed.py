@@ -1,9 +1,9 @@
 """Steps per second of the four environments on one core, against their peers in the same run.
 
 Peers: pyRDDLGym's IPPC 2023 RaceCar (first instance) and gymnasium's HalfCheetah-v5, both without wrappers, like ours.
-All take random actions; the time includes resets at the horizon, observations and labels. It is CPU time on one core
-and thread, and the rows take turns, so that other programs disturb the results less. Run
-``python benchmarks/env_speed.py [--json]`` after ``pip install '.[bench]'``; a missing peer's result is null.
+Actions are random; times include resets, observations and labels. They are CPU time on one core and thread, and rows
+take turns, so that load disturbs the results less. Run ``python benchmarks/env_speed.py [--json]`` after
+``pip install '.[bench]'``; a missing peer's result is null.
 """
 
 from __future__ import annotations
@@ -124,7 +124,6 @@ def rows() -> dict[str, Run]:
 
 
 def our(env: str) -> Any:
-    """One of our environments, unwrapped."""
     return gymnasium.make(f"t4nmtd/{env}-v0").unwrapped
 
 
@@ -142,14 +141,13 @@ def measure(runs: dict[str, Run], repeats: int) -> list[dict[str, float]]:
 
 
 def ratio(rounds: list[dict[str, float]], ours: str, peer: str) -> float | None:
-    """Median of the per-round ratios, because load slows both rows of a round."""
+    """Median of the per-round ratios, because load slows both rows."""
     if peer not in rounds[0]:
         return None
     return statistics.median(speeds[ours] / speeds[peer] for speeds in rounds)
 
 
 def main() -> None:
-    """Parse the arguments, measure, and print the results."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--json", action="store_true", help="print one JSON object and nothing else")
     parser.add_argument("--repeats", type=int, default=9)

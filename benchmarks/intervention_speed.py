@@ -2,19 +2,18 @@
 
     python benchmarks/intervention_speed.py [--json] [--rounds 6] [--slice 10]
 
-Every mode has its own coordinator and workers, all alive at once. Modes take turns in time slices while the others are
-stopped by SIGSTOP, so that load slows all alike. The coordinators' statistics count: environment steps, updates, rows
-asked, late, own critic used, version lag. Ratios to ``off`` are by wall clock and by the workers' CPU time; load
-disturbs the latter less, but it excludes waiting.
+Every mode has its own coordinator and workers. Modes run in alternating time slices while the others are stopped by
+SIGSTOP, so that load slows all alike. The figures come from the coordinators: environment steps, updates, rows asked,
+late, own critic used, version lag. Ratios to ``off`` are by wall clock and by the workers' CPU time, which is less
+sensitive to load but excludes waiting.
 
-Only learners with successes query peers, which takes minutes of training. To avoid this, the coordinators begin with
-scripted start states: every initial-state buffer holds cars near its sub-task's target, and the Q-table knows each
-sub-task. The rest is normal training with untrained networks. The measurement begins when every learner has successes
-and updates. Trained runs may ask for more or fewer rows per batch, so success rates and rows are printed.
+Only learners with successes query peers, which takes minutes of training. The coordinators therefore begin with
+scripted start states near the targets and a Q-table that knows each sub-task. The rest is normal training of untrained
+networks. The measurement begins when every learner has successes and updates. Trained runs may ask for more or fewer
+rows per batch, so success rates and rows are printed.
 
 ``--resume RUN`` instead resumes a copy of a stopped run of task 5 per mode, with only ``learner.intervention`` changed
-and evaluations disabled. There is no evaluator. ``--set`` changes settings of all modes that do not resume, such as
-``learner.hidden=[256,256]``.
+and evaluations disabled. ``--set`` changes settings of modes that do not resume, such as ``learner.hidden=[256,256]``.
 
 It needs psutil (the ``test`` extra).
 """
@@ -276,7 +275,6 @@ def table(rows: Sequence[dict[str, object]]) -> str:
 def measure(
     modes: Sequence[Mode], rounds: int, seconds: float, flags: Sequence[str], resume: Path | None
 ) -> list[dict[str, object]]:
-    """Start and warm up all modes, let them take turns, and return the results."""
     with tempfile.TemporaryDirectory() as folder:
         runs = [Run(mode, Path(folder) / str(number), flags, resume) for number, mode in enumerate(modes)]
         try:
@@ -296,7 +294,6 @@ def measure(
 
 
 def main() -> None:
-    """Parse the arguments, measure, and print the results."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--json", action="store_true", help="print one JSON object and nothing else")
     parser.add_argument("--modes", nargs="+", choices=[mode.name for mode in MODES], help="all by default, off first")

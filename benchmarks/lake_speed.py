@@ -23,7 +23,6 @@ STEPS = 2000  # per repeat, batches or single steps
 
 
 def our_batch(observation: str) -> Callable[[], int]:
-    """Random steps of our batch of lakes."""
     batch = gymnasium.make_vec("t4nmtd/FrozenLake-v0", BATCH, goals=2, observation=observation)
     actions = np.random.default_rng(0).integers(0, 6, (STEPS, BATCH))
     batch.reset(seed=0)
@@ -39,7 +38,6 @@ def our_batch(observation: str) -> Callable[[], int]:
 
 
 def single(env: gymnasium.Env, actions: int) -> Callable[[], int]:
-    """Random steps of one lake."""
     numbers = np.random.default_rng(0).integers(0, actions, STEPS).tolist()
     env.reset(seed=0)
 
@@ -53,7 +51,6 @@ def single(env: gymnasium.Env, actions: int) -> Callable[[], int]:
 
 
 def gymnasium_batch() -> Callable[[], int]:
-    """Random steps of gymnasium's vectorised lakes."""
     batch = gymnasium.make_vec("FrozenLake-v1", BATCH, vectorization_mode="sync", map_name="8x8", is_slippery=False)
     actions = np.random.default_rng(0).integers(0, 4, (STEPS // BATCH, BATCH))
     batch.reset(seed=0)
@@ -78,7 +75,6 @@ def steps_per_second(runs: dict[str, Callable[[], int]], repeats: int) -> dict[s
 
 
 def main() -> None:
-    """Parse the arguments, measure, and print the results."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--json", action="store_true", help="print one JSON object and nothing else")
     parser.add_argument("--repeats", type=int, default=7)

@@ -8,11 +8,11 @@ bootstrap. Ours runs the learners' ``SACUpdater`` and ``ReplayBuffer`` in the pl
 a one-state DFA, and Pendulum's own dense reward.
 
 Every return is the mean of 20 deterministic episodes from the same starts. The agents train in turns, so that load
-slows both alike; updates/s count everything (acting, environment step, sampling, gradient step) by CPU time.
+slows both alike; updates/s count acting, environment step, sampling and gradient step by CPU time.
 
-Ours counts as at least as good if its mean over the seeds is at most one standard error of the difference below
-Stable-Baselines3's: sqrt(s_ours^2 / n + s_theirs^2 / n), with the standard deviations over the n seeds' returns. The
-error is printed, because few seeds with a wide spread could hide much.
+Ours is at least as good if its mean is at most one standard error of the difference below Stable-Baselines3's:
+sqrt(s_ours^2 / n + s_theirs^2 / n), with the standard deviations over the n seeds' returns. The error is printed,
+because few seeds with a wide spread could hide much.
 It needs Stable-Baselines3 (the ``test`` extra).
 """
 
@@ -198,7 +198,7 @@ def mean_return(agent: Agent, episodes: int = EPISODES) -> float:
 
 @dataclass
 class Course:
-    """One agent's training with one seed: mean returns half-way and at the end, and the cost of updates."""
+    """One agent's training with one seed: mean returns half-way and at the end, and update costs."""
 
     returns: list[float] = field(default_factory=list)
     updates: int = 0
@@ -243,7 +243,6 @@ def difference(ours: list[float], theirs: list[float]) -> tuple[float, float]:
 
 
 def table(seeds: list[int], courses: Courses) -> str:
-    """The results as a Markdown table with verdicts."""
     lines = ["| seed | " + " | ".join(courses) + " |", "|---|" + "---|" * len(courses)]
     ends = {name: returns_of(found) for name, found in courses.items()}
     lines += [_row(str(seed), [of_agent[i] for of_agent in ends.values()]) for i, seed in enumerate(seeds)]
@@ -283,7 +282,6 @@ def as_json(courses: Courses) -> dict[str, dict[str, Any]]:
 
 
 def main() -> None:
-    """Parse the arguments, train, and print the results."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--interactions", type=int, default=5000, help=f"of every agent, more than {2 * STARTS}")
     parser.add_argument("--seeds", nargs="+", type=int, default=[0, 1, 2])

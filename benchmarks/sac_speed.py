@@ -2,10 +2,9 @@
 
 An update includes sampling, critics, actor, entropy coefficient and target networks. Ours samples like a learner with
 default settings: half from a peer's experience, shares from before successes and in random DFA states, n-step returns,
-and rows with a peer's value; it excludes querying these values. The two take turns, so that load slows both alike; CPU
-time counts, wall time is shown. The peak share is the update's minimum arithmetic against the rate of square sgemm
-products in the same turns. Run ``python benchmarks/sac_speed.py [--json]``; it needs Stable-Baselines3 (the ``test``
-extra).
+and rows with a peer's value; querying these values is excluded. The two take turns, so that load slows both alike. CPU
+time counts; wall time is shown. The peak share compares the update's minimum arithmetic with square sgemm products.
+Run ``python benchmarks/sac_speed.py [--json]``; it needs Stable-Baselines3 (the ``test`` extra).
 """
 
 from __future__ import annotations
@@ -117,7 +116,6 @@ class Sampling:
 
 
 def our_update(*, layer_norm: bool, actor_every: int = 1) -> Callable[[], object]:
-    """One update of ours, sampling included."""
     settings = SACSettings(hidden=HIDDEN, layer_norm=layer_norm, actor_every=actor_every)
     updater = SACUpdater(OBSERVATION, ACTIONS, settings, seed=0)
     sampling = Sampling()
@@ -138,7 +136,6 @@ def their_updates(count: int) -> Callable[[], object]:
 
 
 def square_product() -> Callable[[], object]:
-    """One square sgemm product."""
     a, b, out = (torch.randn(PEAK_SIDE, PEAK_SIDE) for _ in range(3))
     return lambda: multiply(a, b, out)
 
@@ -153,7 +150,6 @@ def update_gflop() -> float:
 
 
 def measure(turns: int, updates: int) -> dict[str, Timed]:
-    """Time all sides in turns, without a first warm-up turn."""
     timed = {
         "ours": Timed(our_update(layer_norm=False), updates),
         "ours, layer norm": Timed(our_update(layer_norm=True), updates),
@@ -173,7 +169,6 @@ def measure(turns: int, updates: int) -> dict[str, Timed]:
 
 
 def table(timed: dict[str, Timed], peak: float) -> str:
-    """The results as text."""
     theirs = timed["Stable-Baselines3"]
     lines = [f"{'fp32, batch 256, networks 256-256':<36}{'updates/s':>10}{'ms cpu':>9}{'ms wall':>9}{'times SB3':>11}"]
     for name, each in timed.items():
@@ -193,12 +188,10 @@ def ratio_of(theirs: Timed, ours: Timed) -> float:
 
 
 def peak_share(timed: dict[str, Timed], peak: float) -> float:
-    """Our update's arithmetic rate as a share of ``peak``."""
     return update_gflop() / statistics.median(timed["ours"].cpu) / peak
 
 
 def main() -> None:
-    """Parse the arguments, measure, and print the results."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--json", action="store_true", help="print one JSON object and nothing else")
     parser.add_argument("--turns", type=int, default=25, help="turns of each side")

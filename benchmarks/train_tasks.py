@@ -4,12 +4,12 @@
     python benchmarks/train_tasks.py --tasks task7 --seeds 0 1 --keep    # no training, keep finished runs
     python benchmarks/train_tasks.py --table                             # everything kept, from benchmarks/results
 
-Every run is a separate `t4nmtd train`. Finished runs in ``--runs`` are not repeated, stopped ones are resumed. The
-files behind the table (summary, settings, evaluations, at most 200 rows of each learner's metrics) are copied to
+Every run is a separate `t4nmtd train`; finished runs in ``--runs`` are skipped, stopped ones resumed. The files behind
+the table (summary, settings, evaluations, at most 200 rows of each learner's metrics) are copied to
 benchmarks/results/TASK-sSEED, the policy of each task's lowest good seed to benchmarks/policies/TASK.
 
-In the table, means of interactions, wall-clock time, updates and length cover the solved runs; those of success,
-perturbed success and the own critic's share cover all runs. "of paper's" is the share of the paper's interactions.
+Means of interactions, wall-clock time, updates and length cover the solved runs, all others all runs. "of paper's" is
+the share of the paper's interactions.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""Exports a run's best policy at every improvement, and reads it back on resume."""
+"""Exports a run's best policy, and reads it back on resume."""
 
 from __future__ import annotations
 

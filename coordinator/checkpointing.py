@@ -1,4 +1,4 @@
-"""Persists the coordinator's state: counts every second, checkpoints every few minutes and at the end."""
+"""Persists the coordinator's state: counts every second, checkpoints at longer intervals and at the end."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ class StateCheckpointing:
     Args:
         checkpoints: the run's checkpoint folder.
         every_s: checkpoint interval in seconds.
-        tell: called with a line about every checkpoint, possibly from another thread.
+        tell: logs every checkpoint, possibly from another thread.
     """
 
     def __init__(self, state: CoordinatorState, checkpoints: Path, every_s: float, tell: Warn) -> None:
@@ -63,13 +63,13 @@ class StateCheckpointing:
         return True
 
     def make_room(self) -> None:
-        """Release the reserved disk space, and delete all but each process's newest checkpoint."""
+        """Release the reserve, and delete all but each process's newest checkpoint."""
         self._writer.wait()
         self._reserve.release()
         keep_newest_only(self._checkpoints)
 
     def finish(self, *, written: bool = True) -> None:
-        """Write everything a last time; deletes the checkpoints of a solved run whose result is ``written``."""
+        """Write a last checkpoint, or delete all if the run is solved and its result is ``written``."""
         self._writer.wait()
         self._reserve.release()
         self._write_counts()
@@ -80,19 +80,19 @@ class StateCheckpointing:
 
 
 def result_size(state: CoordinatorState) -> int:
-    """Approximate size of a run's result in bytes; 0 before there is a policy."""
+    """Approximate size of a run's result in bytes; 0 without a policy."""
     weights = [acting_parameters(record.weights) for record in state.records.values() if record.version]
     size = sum(int(array.nbytes) for named in weights for array in named.values())
     return size + RESULT_OVERHEAD if weights else 0
 
 
 def resume_state(state: CoordinatorState, checkpoints: Path, warn: Warn) -> str:
-    """Restore a stopped run into a fresh coordinator; returns a line that says from what.
+    """Restore a stopped run into a fresh coordinator; returns a line naming the source.
 
     Args:
         state: of the same task, seed and run.
         checkpoints: the run's checkpoint folder.
-        warn: called about damaged checkpoints or a damaged policy.
+        warn: logs damaged checkpoints or a damaged policy.
     """
     about = {"run_id": state.settings.run_id, "place": COORDINATOR}
     found = newest_checkpoint(checkpoints / COORDINATOR, lambda told: told == about, warn)

@@ -1,4 +1,4 @@
-"""Validates workers' reports against the task, beyond the bounds of the message types."""
+"""Validates workers' reports against the task."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from t4nmtd_dist.wire.statistics import by_name
 
 
 def finite_figures(stats: LearnerStats) -> LearnerStats:
-    """Replace gauges that are not finite by None, so that a diverging learner can continue."""
+    """Replace non-finite gauges by None: a diverging learner may continue."""
     unusable: dict[str, None] = {
         name: None for name, value in by_name(stats).items() if isinstance(value, float) and not math.isfinite(value)
     }

@@ -156,7 +156,7 @@ class BoundSockets:
             self._guards.pop().close()
 
     def close(self) -> None:
-        """Close both sockets; messages already sent have half a second to leave."""
+        """Close both sockets; sent messages have half a second to leave."""
         self._close_guards()
         self._control.close(500)
         self._publisher.close(500)

@@ -1,4 +1,4 @@
-"""Logs and survives unexpected exceptions in parts that training can do without."""
+"""Logs and survives unexpected exceptions in non-essential parts."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ class ErrorBoundary:
 
     @contextmanager
     def guard(self, what: str) -> Iterator[list[Exception]]:
-        """Catch an exception of the block and put it into the yielded list.
+        """Catch an exception of the block into the yielded list.
 
         Args:
             what: what the block does, as in "publishing the state".

@@ -120,7 +120,7 @@ class EvaluationSchedule:
         return any(newer) and all(newer)
 
     def share(self, learners_s: float) -> float:
-        """Evaluations' share of the CPU time of learners and evaluations; 0 without evaluations."""
+        """Evaluations' share of all CPU time; 0 without evaluations."""
         return self.processor_s / max(self.processor_s + learners_s, 1e-9)
 
     def hand_out(
@@ -171,7 +171,7 @@ class EvaluationSchedule:
 
     @property
     def in_a_row(self) -> int:
-        """Number of newest evaluations that reached the target success rate, all in the last one's mode."""
+        """Number of newest evaluations that reached the target success rate in the same mode."""
         count = 0
         for row in reversed(self.history[self._row_from :]):
             if row.actions != self.history[-1].actions or not row.success_rate >= self.config.success:
@@ -186,7 +186,7 @@ class EvaluationSchedule:
 
     @property
     def converged(self) -> bool:
-        """Solved, and those evaluations' mean episode lengths have a relative standard deviation below 10 %."""
+        """Solved, with a relative standard deviation of those mean episode lengths below 10 %."""
         lengths = [row.mean_length for row in self.history[-self.config.in_a_row :]]
         return self.solved and float(np.std(lengths)) < CONVERGED_LENGTH_SPREAD * float(np.mean(lengths))
 

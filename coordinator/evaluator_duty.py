@@ -73,7 +73,7 @@ class EvaluatorDuty:
         return self.schedule.due(interactions(self._records), self._versions(), self._training(), learners_s)
 
     def stand_in_wanted(self) -> bool:
-        """Whether to invite a learner's worker because an evaluation is due and there is no evaluator."""
+        """Whether an evaluation is due without an evaluator."""
         started = interactions(self._records) > 0
         return started and self._leasing.stand_ins.wanted(self._clock.now) and self.due()
 
@@ -81,7 +81,7 @@ class EvaluatorDuty:
         return {pid: record.version for pid, record in self._records.items() if record.version}
 
     def _training(self) -> frozenset[str]:
-        """The sub-tasks whose newer weights an evaluation waits for; excludes unusable ones."""
+        """The sub-tasks whose newer weights an evaluation waits for."""
         return frozenset(
             pid
             for pid, record in self._records.items()

@@ -26,7 +26,7 @@ class RunClock:
     _ended: float | None = None
 
     def advance(self, now: float) -> None:
-        """Advance to the time of an event; the first one starts the run."""
+        """Advance to an event's time; the first starts the run."""
         self.now = now
         if self._began is None:
             self._began = now

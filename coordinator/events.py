@@ -41,7 +41,7 @@ class Interrupted:
 
 @dataclass(frozen=True)
 class KeysChanged:
-    """The allow list changed; ``allowed`` holds all public keys now on it."""
+    """The allow list changed; ``allowed`` holds all its public keys."""
 
     now: float
     allowed: Set[str]

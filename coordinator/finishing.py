@@ -1,4 +1,4 @@
-"""Writes the result at the end of a run without losing a solved one to a full disk."""
+"""Writes a run's result, and protects a solved one from a full disk."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ class Checkpointing(Protocol):
         """Delete what a run does not need to write its result."""
 
     def finish(self, *, written: bool) -> None:
-        """Write everything a last time; a solved run whose result is ``written`` needs no more checkpoints."""
+        """Write a last checkpoint unless the run is solved and its result ``written``."""
 
 
 def write_result(
@@ -32,7 +32,7 @@ def write_result(
     Args:
         logger: of the finished run.
         checkpointing: of its checkpoints.
-        tell: called with a line about each wait.
+        tell: logs each wait.
         pause: waits for a moment; False to stop retrying.
 
     Raises:

@@ -42,7 +42,7 @@ def check_stand_ins(stand_ins: StandIns, table: LeaseTable) -> None:
 
 
 def check_records(records: Mapping[str, LearnerRecord], leases: LeaseTable, task: CompiledTask, now: float) -> None:
-    """There is one record per sub-task; its counts, weights and flags are consistent with each other and its lease."""
+    """There is one record per sub-task, consistent in itself and with its lease."""
     pids = task.decomposition.pids
     require(tuple(records) == tuple(pids) == leases.places, "records and leases are not those of {}", pids)
     for pid, record in records.items():
@@ -75,7 +75,7 @@ def _out_of_bounds(stats: LearnerStats) -> str:
 
 
 def check_buffer(pid: str, record: LearnerRecord, task: CompiledTask) -> None:
-    """An initial-state buffer is bounded and holds only states that its sub-task can start from."""
+    """An initial-state buffer is bounded and holds only its sub-task's start states."""
     buffer = record.buffer
     require(len(buffer) <= buffer.cursor, "{}: {} start states numbered up to {}", pid, len(buffer), buffer.cursor)
     for q in buffer.states_present():
@@ -95,7 +95,7 @@ def check_q_table(entries: QEntries, task: CompiledTask) -> None:
 
 
 def check_evaluations(evaluations: EvaluationSchedule, records: Mapping[str, LearnerRecord]) -> None:
-    """Evaluations are in order, the pending one uses received weights, and none is better than the best."""
+    """Evaluations are in order, use received weights, and are not better than the best."""
     jobs = [row.job for row in evaluations.history]
     require(all(a < b for a, b in pairwise([0, *jobs])), "evaluations are out of order: {}", jobs)
     require(0 <= evaluations.processor_s < math.inf, "evaluations took {} s", evaluations.processor_s)

@@ -1,4 +1,4 @@
-"""The coordinator's record of each learner across all leases on its sub-task."""
+"""The coordinator's record of each learner, across leases."""
 
 from __future__ import annotations
 
@@ -79,7 +79,7 @@ class LearnerRecord:
             self.earlier, self.current = total, LearnerStats()
 
     def begin_epoch(self) -> None:
-        """Start a new lease: keep earlier counts, count the new worker from zero."""
+        """Start a new lease: keep earlier counts, count from zero."""
         self.earlier = self.total
         self.current = LearnerStats()
         self.sequence = 0
@@ -94,7 +94,7 @@ class LearnerRecord:
             self._history.popleft()
 
     def rates(self) -> dict[str, float]:
-        """Counters per second over the last ten seconds, by name, for those whose rates are shown."""
+        """Shown rates: counters per second over the last ten seconds, by name."""
         if len(self._history) < 2:
             return dict.fromkeys(rated(), 0.0)
         (then, before), (now, newest) = self._history[0], self._history[-1]

@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 
 @dataclass(frozen=True)
 class Lease:
-    """A worker's right to a place until ``expires`` (seconds of the coordinator's clock) or its release.
+    """A worker's right to a place until its release or ``expires`` (seconds of the coordinator's clock).
 
     ``key`` is the holder's public key; empty if the coordinator has no keys.
     """
@@ -62,7 +62,7 @@ class LeaseTable:
         return min(free, key=lambda place: (place in self._leases, self.places.index(place)), default=None)
 
     def held_before_by(self, instance: str, key: str, holder: bytes, now: float) -> str | None:
-        """The place this instance holds over an earlier connection, from before its restart."""
+        """The place this instance holds over an earlier connection."""
         own = (lease for lease in self.holders(now) if (lease.instance, lease.key) == (instance, key))
         return next((lease.place for lease in own if lease.holder != holder), None)
 
@@ -80,7 +80,7 @@ class LeaseTable:
         return lease
 
     def renew(self, place: str, epoch: int, holder: bytes, now: float) -> bool:
-        """Renew a lease on a heartbeat; False if its epoch or holder is not the newest."""
+        """Renew a lease; False if its epoch or holder is not the newest."""
         lease = self._leases.get(place)
         if lease is None or lease.epoch != epoch or lease.holder != holder:
             return False

@@ -64,7 +64,7 @@ class Leasing:
         return self._grant(event, claim, lease)
 
     def _place(self, event: Received, claim: Claim, table: LeaseTable) -> str | None:
-        """The claimed place: a sub-task by name or number, the one its worker held before, or a free one."""
+        """The claimed sub-task by name or number, the one held before, or a free one."""
         if claim.role == "evaluator":
             return EVALUATOR
         if claim.pid is not None:

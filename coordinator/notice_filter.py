@@ -1,4 +1,4 @@
-"""Filters external notices for the event log: printable, short, and limited in number."""
+"""Filters notices for the event log: printable, short, and limited in number."""
 
 from __future__ import annotations
 

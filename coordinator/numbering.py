@@ -1,4 +1,4 @@
-"""Numbers for sub-tasks: ``p1`` is a task's first, unless its sub-tasks are named like that."""
+"""Numbers for sub-tasks, such as ``p1`` for the first."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ LIKE_A_NUMBER = re.compile(r"p[0-9]+")
 
 
 def numbered(pids: Sequence[str]) -> dict[str, str]:
-    """The sub-task of each number ``p1``, ``p2``, ..., in the order of ``pids``.
+    """The sub-tasks by number, ``p1``, ``p2``, ..., in the order of ``pids``.
 
     Empty if any sub-task's name has this form: if ``p1`` is a name, ``p4`` must not be a number.
     """

@@ -24,8 +24,7 @@ class RunLogger:
     """Writes a run's events, metrics, summary and policy.
 
     Args:
-        tensorboard: whether to write TensorBoard event files as well.
-        tell: called with a line about failed writes; a full disk does not end training.
+        tell: logs failed writes; a full disk does not end training.
 
     Raises:
         ConfigError: if requested event files cannot be written.

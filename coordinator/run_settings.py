@@ -1,4 +1,4 @@
-"""Settings of a run, beside its task."""
+"""Settings of a run that are not part of its task."""
 
 from __future__ import annotations
 
@@ -7,11 +7,11 @@ from dataclasses import dataclass
 
 @dataclass(frozen=True)
 class RunSettings:
-    """Settings of a run, beside its task.
+    """Settings of a run.
 
     Attributes:
         run_id: identifies the run across resumes, so that workers recognise its checkpoints.
-        lease_s: seconds of silence after which a worker counts as lost.
+        lease_s: seconds of silence until a worker is lost.
     """
 
     seed: int

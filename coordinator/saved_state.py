@@ -1,4 +1,4 @@
-"""The coordinator's checkpointed state, and the counts that are saved more often."""
+"""The coordinator's checkpointed state, and its more often saved counts."""
 
 from __future__ import annotations
 

@@ -46,7 +46,6 @@ class RunStorage:
         restart: delete the run in the directory.
         resume: continue the run in the directory.
         checkpoint_every_s: checkpoint interval in seconds.
-        tensorboard: whether to write TensorBoard event files as well.
     """
 
     directory: Path
@@ -61,8 +60,7 @@ class CoordinatorService:
 
     Args:
         state: the state machine; on resume, a fresh one for the stored run.
-        storage: where and how to store the run.
-        by_hand: whether users start the workers and need the commands.
+        by_hand: whether users start the workers.
 
     Raises:
         ConfigError: if an endpoint cannot be used.
@@ -104,20 +102,20 @@ class CoordinatorService:
             self._feed(LogRequest(time.monotonic(), resumed))
 
     def _resume(self) -> str:
-        """Restore the stored run; returns a line that says from what."""
+        """Restore the stored run; returns a line naming the source."""
         resumed = resume_state(self.state, self._run.checkpoints, self._lines.put)
         self._run.mend(self.state.elapsed_s)
         return resumed
 
     def interrupt(self, reason: str) -> None:
-        """Ask the loop to end the run, or to hurry if called again; safe from signal handlers and threads."""
+        """End the run, or hurry if called again; safe from signal handlers and threads."""
         if self._interrupted or self._over.is_set():
             self._impatient = True
         self._interrupted = True
         self._interrupt = reason
 
     def serve(self) -> None:
-        """Run until the state machine finishes, then briefly tell every client that the run is over."""
+        """Run until the state machine finishes, then briefly announce the end."""
         if self.state.outcome is not None:  # solved before the resume, but without a result
             self._logger.record(Finish(self.state.outcome, "before it was resumed"))
             self._over.set()
@@ -130,7 +128,7 @@ class CoordinatorService:
             self._run.unlock()
 
     def _say_farewell(self) -> None:
-        """Announce the end, receive the learners' last reports, and write the result."""
+        """Announce the end, receive last reports, and write the result."""
         began = time.monotonic()
         while time.monotonic() < began + self._farewell_s():
             self._turn()
@@ -155,7 +153,7 @@ class CoordinatorService:
             self._feed(LogRequest(time.monotonic(), self._lines.get()))
 
     def _farewell_s(self) -> float:
-        """Seconds to wait for last reports: longer while learners are active, unless the user hurries."""
+        """Seconds to wait for last reports, by active learners and the user's hurry."""
         if not self.state.leases.holders(time.monotonic()):
             return FAREWELL_S
         return HURRIED_FAREWELL_S if self._impatient else LONGEST_FAREWELL_S
@@ -213,7 +211,7 @@ class CoordinatorService:
 
     @contextmanager
     def _answered(self, peer: bytes, question: Envelope) -> Iterator[None]:
-        """If handling a message fails, log it, answer its sender, and continue."""
+        """Log a failure to handle a message, and answer its sender."""
         what = f"taking {type(question.message).__name__} of {question.sender or 'a client'}"
         with self._errors.guard(what) as caught:
             yield

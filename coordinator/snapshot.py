@@ -90,7 +90,7 @@ def _kept(state: CoordinatorState) -> EvaluationRow | None:
 
 
 def missing(state: CoordinatorState, commands: WorkerCommands | None) -> list[Missing]:
-    """Sub-tasks without a worker, and a missing evaluator, with the commands that start them."""
+    """Missing workers with the commands that start them."""
     if commands is None or state.outcome is not None:
         return []
     alone = [pid for pid in state.records if not state.leases.live(pid, state.clock.now)]

@@ -1,4 +1,4 @@
-"""When learners' workers stand in for a missing evaluator, and which leases are theirs."""
+"""Lets learners' workers stand in for a missing evaluator."""
 
 from __future__ import annotations
 
@@ -8,15 +8,15 @@ STAND_IN_AFTER_S = 10.0
 
 
 class StandIns:
-    """Learners' workers that evaluate between their turns, one evaluation at a time.
+    """Learners' workers that evaluate between their turns.
 
-    They are invited after ``STAND_IN_AFTER_S`` without an evaluator, which leaves it time to start or restart.
+    They are invited after ``STAND_IN_AFTER_S`` seconds without an evaluator, so that one has time to start or restart.
 
     Args:
         table: the leases on the evaluator role.
 
     Attributes:
-        epoch: of the newest stand-in's lease, 0 before the first.
+        epoch: of the newest stand-in's lease; 0 before the first.
     """
 
     def __init__(self, table: LeaseTable) -> None:
@@ -41,7 +41,7 @@ class StandIns:
         return not self._table.live(self._place, now) and now - self._alone_since >= STAND_IN_AFTER_S
 
     def begin(self, lease: Lease) -> str:
-        """Register a stand-in's lease; returns a line to log for the first without an evaluator, else ""."""
+        """Register a stand-in's lease; returns a line to log for the first, else ""."""
         self.epoch = lease.epoch
         logged, self._logged = self._logged, True
         return "" if logged else "no evaluator: the learners' workers evaluate between their turns"

@@ -159,7 +159,7 @@ class CoordinatorState:
         raise ProtocolError(f"the coordinator does not take {type(message).__name__} messages")
 
     def _receive_late(self, event: Received, outcome: Outcome) -> list[Action]:
-        """Process a message after the end: learners' work until they hear of it still counts."""
+        """Process a message after the end: learners' last work still counts."""
         message = event.envelope.message
         actions: list[Action] = []
         if isinstance(message, Sync) and self._leasing.renew(event.peer, message):
@@ -171,7 +171,7 @@ class CoordinatorState:
     # Algorithm 1
 
     def _sync(self, event: Received, sync: Sync) -> list[Action]:
-        """One turn of a learner: apply its progress, reply with what is new for it."""
+        """Apply a learner's progress and reply."""
         if not self._leasing.renew(event.peer, sync):
             return self._leasing.refuse_stale(event, sync)
         actions = self._accept(sync, event.envelope.arrays)
@@ -184,7 +184,7 @@ class CoordinatorState:
         return actions
 
     def _accept(self, sync: Sync, arrays: Mapping[str, NDArray[Any]]) -> list[Action]:
-        """Apply a batch of progress once and store newer weights; returns log lines about unusable data."""
+        """Apply a batch of progress once and store newer weights; returns log lines."""
         progress = unpack_progress(arrays, self.task.dfa.states, self.snapshot)
         record = self.records[sync.pid]
         actions: list[Action] = []
@@ -204,7 +204,7 @@ class CoordinatorState:
         )
 
     def _hand_over(self, pid: str, starts: Sequence[Start]) -> None:
-        """Store each state <s, q> in the initial-state buffers of sub-tasks that start there: for T4NMTD, E(Q, q)."""
+        """Add each state <s, q> to the initial-state buffers of sub-tasks that start there: for T4NMTD, E(Q, q)."""
         for q, state in starts:
             self.snapshot = state
             if q in self.task.terminal:

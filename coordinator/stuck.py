@@ -20,7 +20,7 @@ Records = Mapping[str, LearnerRecord]
 
 
 def stuck_lines(pid: str, records: Records, task: CompiledTask) -> list[str]:
-    """Lines about a stuck learner: symptoms, likely causes, settings to try; empty if it is not stuck."""
+    """Symptoms, likely causes and settings to try for a stuck learner, else nothing."""
     stats = records[pid].total
     if _waits(pid, stats, records, task):
         return [f"{pid}: {line}" for line in _waiting(pid, records, task)]
@@ -32,7 +32,7 @@ def stuck_lines(pid: str, records: Records, task: CompiledTask) -> list[str]:
 
 
 def _waits(pid: str, stats: LearnerStats, records: Records, task: CompiledTask) -> bool:
-    """Whether it never had a start state although the others have trained for long."""
+    """Whether it never had a start state, long into the run."""
     if stats.interactions or len(records[pid].buffer) or pid in task.decomposition.available(task.dfa.initial):
         return False
     return _interactions(records) >= MANY_INTERACTIONS
@@ -78,7 +78,7 @@ def _strayed(stats: LearnerStats) -> int:
 
 
 def _advice(stats: LearnerStats, task: CompiledTask) -> list[str]:
-    """Likely causes and settings to try, by how most attempts end."""
+    """Likely causes and settings to try, by most attempts' ending."""
     learner = task.config.learner
     explore = " or ".join(agent_settings(learner.algorithm).exploration)
     ends = {

@@ -50,7 +50,7 @@ class WorkerCommands:
 
 
 def _reachable(control: str) -> str:
-    """An endpoint for workers; for one bound to all interfaces, the address other machines use."""
+    """An endpoint for workers on other machines."""
     host, port = split_endpoint(control)
     if host not in EVERYWHERE:
         return control

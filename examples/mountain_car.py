@@ -1,4 +1,4 @@
-"""A custom environment and labelling function: the mountain car climbs both hills without touching the wall.
+"""A custom environment and labelling function for Gymnasium's mountain car.
 
 The car must climb the left hill, then reach the flag on the right one, and never touch the wall at the far left.
 ``mountain_car.toml`` beside this file is the task; docs/own-task.md explains both.

@@ -29,9 +29,8 @@ class _Held:
     """A checkpoint held back until the coordinator has counted its content.
 
     Attributes:
-        message: the message that reported all of the checkpoint's content.
+        message: the message that reported all of its content.
         until: when to stop waiting.
-        about: the checkpoint's metadata.
     """
 
     session: LearnerSession
@@ -51,7 +50,7 @@ class LearnerCheckpoints:
         checkpoints: ``checkpoints/`` of a run directory, with a folder per sub-task; any other folder gets a subfolder
             per run, to keep runs apart.
         every_s: checkpoint interval of a learner in seconds.
-        say: called with a line about every checkpoint, possibly from another thread.
+        say: logs every checkpoint, possibly from another thread.
     """
 
     def __init__(self, checkpoints: Path, every_s: float, say: Warn) -> None:
@@ -81,7 +80,7 @@ class LearnerCheckpoints:
         self._say(f"{granted.pid} goes on from {found.path} with {len(session.buffer)} start states")
 
     def write_due(self, sessions: Collection[LearnerSession]) -> None:
-        """Begin to write a due checkpoint in the background.
+        """Begin to write a due checkpoint.
 
         Call this right after sending messages to the coordinator, when they cover all work done.
         """
@@ -103,7 +102,7 @@ class LearnerCheckpoints:
         self._held = _Held(session, session.newest_message, until, _about(session), copied(session.state_dict()))
 
     def _write_held(self, held: _Held, sessions: Collection[LearnerSession], now: float) -> None:
-        """Begin to write the held checkpoint once it is counted; drop it if its learner has ended."""
+        """Begin to write the held checkpoint once counted, unless its learner has ended."""
         ended = held.session not in sessions
         if not ended and now < held.until and not held.session.has_answer_to(held.message):
             return

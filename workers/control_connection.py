@@ -1,7 +1,7 @@
 """The connection to the coordinator, served by its own thread.
 
-The learner loop may compute, import or build environments for minutes. Meanwhile the thread renews its leases and
-receives messages. The two exchange messages through queues; only the thread uses the socket.
+The thread renews leases and receives messages while the learner loop computes or imports for minutes. The two exchange
+messages through queues; only the thread uses the socket.
 """
 
 from __future__ import annotations
@@ -43,7 +43,7 @@ class Arrival:
     Attributes:
         at: time of arrival.
         content: a message, why one cannot be read, or a handshake outcome.
-        renewal: whether it only answers a lease renewal, and so shows that the coordinator is alive.
+        renewal: whether it only answers a lease renewal.
     """
 
     at: float
@@ -105,7 +105,7 @@ class ControlConnection:
         self._service.start()
 
     def send(self, envelope: Envelope) -> Future[bool]:
-        """Send a message; the future tells whether the socket accepted it, which fails without a connection.
+        """Send a message; the future tells whether the socket accepted it, which needs a connection.
 
         Raises:
             ProtocolError: if its arrays are invalid or too large.

@@ -1,7 +1,6 @@
 """Serves critic values, weights and experience to peers from its own thread.
 
-The thread shares the interpreter with the learner, so it saves time: it evaluates all waiting value requests of a
-sub-task in one call.
+The thread takes time from the learner, so it evaluates all waiting value requests of a sub-task in one call.
 """
 
 from __future__ import annotations
@@ -87,7 +86,7 @@ class CriticService:
         advertise: host advertised to peers; by default the bound one.
         insecure: allow an address beyond loopback without keys.
         own: this worker's pair; peers get its public half from the coordinator.
-        tell: called with a line about problems.
+        tell: logs problems.
 
     Raises:
         ConfigError: if the endpoint cannot be used.
@@ -143,7 +142,7 @@ class CriticService:
             self._allowed.replace({*keys, self._own.public} - {""})
 
     def _refused(self, refusal: Refusal) -> None:
-        """Log a rejected peer that keeps trying: it may query before this worker knows it."""
+        """Log a rejected peer that keeps trying; a new peer may query early."""
         now = time.monotonic()
         if now - self._strangers.setdefault(refusal.key, now) >= STRANGER_S:
             text = f"refused a peer at {refusal.address}: its key {refusal.key} is none the coordinator told of"
@@ -167,7 +166,7 @@ class CriticService:
         self._socket.close(0)
 
     def _take(self, arrivals: Sequence[Arrival]) -> None:
-        """Answer all waiting requests: value requests together, others one by one."""
+        """Answer all waiting requests, value requests together."""
         asked: dict[str, list[tuple[bytes, Envelope]]] = {}
         for arrival in arrivals:
             peer, envelope = arrival.peer, arrival.content
@@ -207,7 +206,7 @@ class CriticService:
         return WeightsReply(version=version), with_prefix("weights.", weights)
 
     def _experience(self, peer: bytes, request: ExperienceRequest) -> Answer:
-        """Steps from the requested one, as many as fit into a message, at most ten times a second per connection."""
+        """Steps from the requested one that fit into a message, at most ten times a second per connection."""
         experience = self._experiences.get(request.pid)
         if experience is None:
             return Failure(text=f"no experience of {request.pid!r} here"), {}
@@ -219,7 +218,7 @@ class CriticService:
         return reply, with_prefix("experience.", columns)
 
     def _values(self, pid: str, requests: Sequence[Envelope]) -> list[Answer]:
-        """Answers to one sub-task's value requests, from one evaluation if all are valid."""
+        """Answers to one sub-task's value requests, from one evaluation if possible."""
         critic = self._critics.get(pid)
         if critic is None:
             return [_no_critic(pid)] * len(requests)

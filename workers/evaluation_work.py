@@ -47,7 +47,7 @@ class EvaluationWork:
         return self._steps is not None
 
     def take(self, envelope: Envelope) -> None:
-        """Process a reply to a poll: begin its job or poll again later; while busy, ignore empty replies."""
+        """Process a reply to a poll: begin its job or poll again later."""
         message = envelope.message
         if not isinstance(message, EvaluationJob) or (self.busy and not message.job):
             return

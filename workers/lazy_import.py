@@ -66,7 +66,7 @@ class WaitingLease:
 
 
 def check_trust(granted: Granted, coordinator: str, *, given: bool) -> None:
-    """Reject a task whose environment is code that this user does not trust: without keys, anybody can coordinate.
+    """Reject a task with untrusted environment code: without keys, anybody can coordinate.
 
     Raises:
         TrustError: if the code is not trusted.
@@ -78,7 +78,7 @@ def check_trust(granted: Granted, coordinator: str, *, given: bool) -> None:
 
 
 class HeavyImports:
-    """Imports in a thread, so that the worker can still hear the coordinator and signals."""
+    """Imports in a thread, so that the worker stays responsive."""
 
     def __init__(self, role: Role) -> None:
         self._role: Role = role

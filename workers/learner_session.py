@@ -34,7 +34,7 @@ STARTS_PER_SYNC = 64
 
 
 def compiled_from(granted: Granted) -> CompiledTask:
-    """The task as compiled by the coordinator, so that workers need no translator."""
+    """The task as compiled by the coordinator."""
     return CompiledTask(
         task_config(granted.task, source="coordinator"),
         DFA.from_json(granted.dfa),
@@ -50,7 +50,7 @@ class LearnerSession:
     Args:
         arrays: weights granted with it, if the sub-task was trained before.
         device: device of the learner's networks.
-        tell: called with a line about unusable weights or start states.
+        tell: logs unusable weights or start states.
     """
 
     def __init__(
@@ -84,7 +84,7 @@ class LearnerSession:
         self._tell(f"{self.pid}: {text}")
 
     def _take_weights(self, granted: Granted, arrays: Mapping[str, NDArray[Any]]) -> None:
-        """Load the weights granted with a lease; if unusable, keep the current ones but adopt their version."""
+        """Load granted weights; if unusable, only adopt their version."""
         weights = without_prefix("weights.", arrays)
         if not weights:
             return
@@ -103,11 +103,11 @@ class LearnerSession:
         self._sent_at = -np.inf
 
     def can_go_on_under(self, granted: Granted) -> bool:
-        """Whether this learner is useful under a lease of this pid: of the same run or an equal one."""
+        """Whether this learner is useful under a lease of this pid."""
         return granted.run_id == self.run_id or training_of(granted) == self._trained_for
 
     def renew(self, granted: Granted) -> None:
-        """Continue under a new lease, after a coordinator restart, with everything learned so far.
+        """Continue with everything learned so far under a new lease, after a coordinator restart.
 
         A coordinator that resumed the run knows earlier reports; a new run gets all counts again.
         """
@@ -170,7 +170,7 @@ class LearnerSession:
         return self._training
 
     def next_sync(self, now: float, interval_s: float) -> Envelope | None:
-        """The message due now, if any: new progress once the last was answered, otherwise a repeat."""
+        """The message due now, if any: new progress, or a repeat of an unanswered message."""
         if self._outstanding is not None:
             if now < self._sent_at + RESEND_S:
                 return None
@@ -265,5 +265,5 @@ class LearnerSession:
 
 
 def training_of(granted: Granted) -> tuple[object, ...]:
-    """What determines the training under a lease: task with settings, automaton, sub-tasks, potentials, seed."""
+    """What determines the training: task with settings, automaton, sub-tasks, potentials, seed."""
     return granted.task, granted.dfa, granted.decomposition, granted.rho, granted.seed

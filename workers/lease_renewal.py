@@ -104,5 +104,5 @@ class LeaseRenewals:
 
 
 def _sign_of_life(pid: str, epoch: int) -> Message:
-    """A heartbeat: sequence 0 carries no progress, and the largest cursor requests no start states."""
+    """A heartbeat: no progress (sequence 0), no start states (largest cursor)."""
     return Sync(pid=pid, epoch=epoch, sequence=0, version=0, start_cursor=LARGEST_COUNT, stats=LearnerStats())

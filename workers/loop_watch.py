@@ -1,4 +1,4 @@
-"""Detects a learner loop that makes no progress, for instance in a user's environment."""
+"""Detects a learner loop without progress, for instance in a user's environment."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ class Loop(Protocol):
 
 
 class LoopWatch:
-    """Measures how long the learner loop has made no progress; runs in the lease-renewing thread.
+    """Measures how long the learner loop makes no progress; runs in the connection's thread.
 
     Attributes:
         idle_s: seconds without progress at the last check.

@@ -13,7 +13,7 @@ from t4nmtd_dist.wire.messages import Role
 
 
 def default_instance() -> str:
-    """A name for this process: host and process number."""
+    """A default name: host and process id."""
     return f"{socket.gethostname()}:{os.getpid()}"
 
 
@@ -25,7 +25,7 @@ class Connection:
         coordinator: its control endpoint.
         wait_s: seconds of coordinator silence before giving up.
         keys: folder of this worker's keys; None if the coordinator has none.
-        insecure: allow the critics an address beyond loopback without keys.
+        insecure: allow critics beyond loopback without keys.
         trust: import code named by the task, whoever the coordinator is.
     """
 
@@ -69,11 +69,8 @@ class WorkerOptions:
     """A worker's options.
 
     Attributes:
-        connection: how to reach the coordinator.
         pids: sub-tasks to train, by name or number; empty for the next free ones.
-        critic: address of its critics.
         checkpoints: None to write none.
-        device: device of its networks.
     """
 
     connection: Connection

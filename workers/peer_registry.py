@@ -24,7 +24,7 @@ class PeerRegistry:
 
     Args:
         keys: this worker's own, if the coordinator has keys.
-        tell: called with a line about problems.
+        tell: logs problems.
 
     Attributes:
         peers: each own learner's peers, by its pid.
@@ -46,7 +46,7 @@ class PeerRegistry:
         self._share_experience(session)
 
     def _peers_of(self, session: LearnerSession) -> PeerCritics:
-        """The learner's peers; those in this process are always evaluated directly."""
+        """The learner's peers; those in this process are evaluated directly."""
         if session.intervention == "off":
             return NoPeers()
         near = LocalPeers(self._critics)
@@ -62,7 +62,7 @@ class PeerRegistry:
         return QueryPeers(self._context, sender, self._keys, learner.value_shape)
 
     def _share_experience(self, session: LearnerSession) -> None:
-        """Let a learner use all others' experience, in this process and elsewhere."""
+        """Let a learner use all others' experience."""
         learner = session.learner
         if learner.replay_buffer is None or not learner.peer_steps:
             return

@@ -13,7 +13,6 @@ class ReportLedger:
         before: counts reported under earlier leases, which are not repeated.
 
     Attributes:
-        before: see above.
         newest: all counts at the newest report; None before the first.
         sequence: number of the newest report.
         answered: number of the newest answered report.

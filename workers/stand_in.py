@@ -1,4 +1,4 @@
-"""Lets a learner's worker evaluate between turns without an evaluator, using at most a tenth of its time."""
+"""Lets learners' workers evaluate between turns, using at most a tenth of their time."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ ANSWER_S = 1.0
 
 @dataclass
 class SpareTime:
-    """Time budget for evaluations: the first is free, later ones wait until the total is within the share.
+    """Time budget for evaluations: the first is free, later ones wait for their share.
 
     Attributes:
         began: start of the worker, in seconds of its clock.
@@ -73,11 +73,11 @@ class StandIn:
 
     @property
     def waiting(self) -> bool:
-        """Whether a reply is imminent: a long turn now might outlast the lease."""
+        """Whether to await a reply: a long turn might outlast the lease."""
         return self._clock() < self._answer_until
 
     def invited(self) -> None:
-        """Claim the evaluator role on the coordinator's invitation if there is time to spare."""
+        """Claim the evaluator role when invited, if there is time to spare."""
         now = self._clock()
         if self._work is None and now >= self._ask_again and self._spare.allows(now):
             self._ask_again, self._answer_until = now + PATIENCE_S, now + ANSWER_S
@@ -134,7 +134,7 @@ class StandIn:
         self._ask_again = self._answer_until = -float("inf")
 
     def _try(self, do: Callable[[], None]) -> None:
-        """Survive a policy that cannot be evaluated here, for the sake of the learners."""
+        """Survive a policy that cannot be evaluated here."""
         try:
             do()
         except T4NMTDError as error:

@@ -72,9 +72,7 @@ class _Place:
     Attributes:
         wanted: a given pid or its number (p1), or None for any free one.
         held: the pid held now.
-        kept: the pid held before a coordinator restart, whose learner continues and which is claimed again.
-        next_try: time of the next claim.
-        retry: seconds until the claim after that.
+        kept: the pid held before a coordinator restart, to be claimed again.
     """
 
     wanted: str | None
@@ -247,7 +245,7 @@ class WorkerState:
 
 
 def _wants_the_same(place: _Place, granted: Granted) -> bool:
-    """Whether a place wants the sub-task just granted to another: given twice, or by name and number."""
+    """Whether a place wants the sub-task just granted to another."""
     return place.wanted is not None and (place.held == granted.pid or place.wanted in (granted.pid, granted.asked))
 
 

@@ -1,7 +1,7 @@
 """The worker process: a loop that learns or evaluates, and talks to the coordinator.
 
-It claims a place before the slow imports of torch and the environments, so that a refusal comes at once. A separate
-thread serves the connection, so that leases are renewed whatever the loop does.
+It claims a place before importing torch and the environments, so that a refusal comes at once. A separate thread renews
+its leases whatever the loop does.
 """
 
 from __future__ import annotations
@@ -144,7 +144,7 @@ class Worker:
         self._interrupted = True
 
     def _end_work(self) -> None:
-        """Report the rest, release all leases, and save what was learned."""
+        """Report the rest, release all leases, and write last checkpoints."""
         sessions = list(self._sessions.values())
         syncs = [session.last_sync() for session in sessions]
         sent = [self._send(sync.message, sync.arrays) for sync in syncs]
@@ -157,7 +157,7 @@ class Worker:
             self._checkpoints.write_last(sessions)
 
     def _hear_answers(self, sessions: Sequence[LearnerSession]) -> None:
-        """Wait briefly for the replies to the last messages."""
+        """Wait briefly for the last replies."""
         deadline = time.monotonic() + LAST_ANSWERS_S
         while (left := deadline - time.monotonic()) > 0 and not all(session.is_answered for session in sessions):
             arrival = self._control.receive(left)
@@ -194,7 +194,7 @@ class Worker:
             self._stopped_s = stopped_s
 
     def _take_outcome(self, outcome: Outcome) -> None:
-        """Give up if the coordinator rejects this worker; report other connection problems once."""
+        """Give up if the coordinator rejects this worker; report other problems once."""
         text = trouble(outcome, self._connection.coordinator, self._keys)
         if text is not None and outcome != "broken":
             self._exit = Exit(2, text)
@@ -203,7 +203,7 @@ class Worker:
             say(text)
 
     def _evaluate(self) -> bool:
-        """Run a slice of the evaluation, as an evaluator or a stand-in."""
+        """Run a slice of the evaluation."""
         if self._evaluation is None or not self._evaluation.busy:
             return self._stand_in.turn()
         self._evaluation.advance()
@@ -304,7 +304,7 @@ class Worker:
             check_trust(granted, self._connection.coordinator, given=self._connection.trust)
 
     def _end_those_of_another_training(self, granted: Granted) -> None:
-        """End learners from before a coordinator restart that the new training cannot use."""
+        """End kept learners that the new training cannot use."""
         for pid, session in list(self._sessions.items()):
             if not session.can_go_on_under(granted):
                 say(f"{pid} is over here: the coordinator trains another task now, or with another seed or settings")
@@ -313,7 +313,7 @@ class Worker:
                     self._state.forget(pid, time.monotonic())
 
     def _open_sessions(self) -> None:
-        """Start work under waiting leases once everything is imported."""
+        """Start work under waiting leases once imported."""
         if not self._waiting or not self._imports.ready():
             return
         for pid, lease in self._waiting.items():

@@ -52,7 +52,7 @@ class _Page:
 
 @dataclass(frozen=True)
 class _Plan:
-    """Heights of the page's sections in lines, frames included; 0 omits a section."""
+    """Heights of the sections in lines, with frames; 0 omits one."""
 
     framed: bool
     with_formula: bool
@@ -93,7 +93,7 @@ def _section(title: str, body: RenderableType, framed: bool) -> RenderableType:
 
 
 def _middle(state: DashboardState, width: int, plan: _Plan) -> Layout:
-    """The Q-table on the left, the last evaluation and the curves on the right."""
+    """The Q-table beside the last evaluation and the curves."""
     side = 4 if plan.framed else 1
     q_width = tables.q_width(state, max(20, width - 26 - 2 * side))
     right = width - q_width - side
@@ -165,7 +165,7 @@ def plain_line(state: DashboardState) -> str:
 
 
 def _result(state: DashboardState) -> str:
-    """The result of a finished run in a few words."""
+    """The result of a finished run."""
     if state.solved_at is not None:
         return f"solved after {count(state.solved_at)}, {count(state.interactions)} in all"
     over = state.phase not in panels.RUNNING
@@ -180,12 +180,12 @@ class LiveDashboard:
     """Shows states on a console; a terminal failure ends only the dashboard.
 
     Use as a context manager. On a terminal it draws on the alternate screen, at most four times a second, always
-    restores the terminal, and prints a summary at the end. With ``plain``, without a terminal, or without a Unicode
-    encoding, it prints a line every ten seconds of the run, and at once when the phase changes or a learner is lost.
+    restores the terminal, and prints a summary at the end. Otherwise it prints a line every ten seconds of the run, and
+    at once when the phase changes or a learner is lost.
 
     Args:
         console: where to draw.
-        plain: lines instead of pages.
+        plain: lines instead of pages; forced without a terminal or a Unicode encoding.
         clock: seconds, for the limit of four pages a second.
     """
 

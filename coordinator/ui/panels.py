@@ -28,7 +28,7 @@ CHART_LABEL = 14
 
 
 def steps_per_s(state: DashboardState) -> float:
-    """Current interactions per second of all learners; the run's average if none reports any."""
+    """Current interactions per second; the run's average if no learner reports any."""
     now = sum(row.rates.get("interactions", 0.0) for row in state.learners)
     if now > 0 or state.elapsed_s <= 0:
         return now
@@ -36,7 +36,7 @@ def steps_per_s(state: DashboardState) -> float:
 
 
 def budget_left_s(state: DashboardState) -> float | None:
-    """Seconds until the budget is spent at the current rate; None without a budget, a rate or a live run."""
+    """Seconds until the budget is spent; None without a budget, a rate or a live run."""
     speed = steps_per_s(state)
     if state.phase not in RUNNING or state.max_interactions <= 0 or not speed > 0:
         return None
@@ -44,7 +44,7 @@ def budget_left_s(state: DashboardState) -> float | None:
 
 
 def header(state: DashboardState, width: int, with_formula: bool, lacks: int = 0) -> RenderableType:
-    """Phase, time, budget and consecutive successes in three lines; a fourth shows the formula.
+    """Status, budget and consecutive successes, one line each, and optionally the formula.
 
     Up to ``lacks`` more lines list what is missing.
     """
@@ -91,7 +91,7 @@ def _budget_line(state: DashboardState, width: int) -> Text:
 
 
 def row_so_far(state: DashboardState) -> str:
-    """Consecutive successful evaluations, such as 2/5 in a row, and their threshold if it is not 100 %."""
+    """Consecutive successes, such as 2/5 in a row, and the threshold if not 100 %."""
     needed = "" if state.success_needed == 1 else f" at {percent_text(state.success_needed)}"
     return f"{state.solved_in_a_row}/{state.solved_needed} in a row{needed}"
 
@@ -125,7 +125,7 @@ def _solved_line(state: DashboardState) -> Text:
 
 
 def path_text(state: DashboardState, width: int) -> Text:
-    """The last evaluation's path, such as q0 → q3 → q7 (accepting); its middle is omitted if too long."""
+    """The last evaluation's path, such as q0 → q3 → q7 (accepting), shortened to fit."""
     path = last_path(state)
     names = [(f"q{q}", _state_style(state, q)) for q in path]
     end = path[-1] if path else None
@@ -177,7 +177,7 @@ def evaluation(state: DashboardState, width: int, height: int) -> RenderableType
 def _chart(
     labels: tuple[str, str, str], values: list[float], width: int, height: int, top: float, style: str
 ) -> list[Text]:
-    """A curve with its name, newest value and scale on the left, as far as they fit."""
+    """A curve with name, newest value and scale on the left, if they fit."""
     name, newest, scale = labels
     notes = [f"{name} {newest}"] if height == 1 else [name, newest] if height == 2 else [name, newest, scale]
     rows = curve(values, width - CHART_LABEL, height, top)

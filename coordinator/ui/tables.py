@@ -1,7 +1,7 @@
 """The dashboard's tables: learners, and the high-level Q over DFA states and sub-tasks.
 
-Each function draws a ``DashboardState`` into a given size in terminal cells. Green, red, cyan and magenta are from
-the terminal's palette, legible on dark and light backgrounds.
+Each function draws a ``DashboardState`` into a given size in terminal cells. Colours are legible on dark and light
+backgrounds.
 """
 
 from __future__ import annotations
@@ -53,7 +53,7 @@ def _success_style(share: float | None) -> str:
 
 @dataclass(frozen=True)
 class _Column:
-    """A column of the learners' table, shown from a page width of ``needs`` cells."""
+    """A column of the learners' table, shown from a width of ``needs``."""
 
     title: str
     needs: int
@@ -62,7 +62,7 @@ class _Column:
 
 
 def _learner_columns(width: int) -> list[_Column]:
-    """The learner, its statistics that have a column, and the coordinator's own data."""
+    """Columns of the learner, its statistics, and the coordinator's own data."""
     columns = [
         _Column("pid", 0, lambda r: line(clip(r.pid, PID_CELLS), "bold"), left=True),
         _Column("phase", 0, lambda r: line(r.phase, LEARNER_STYLE[r.phase]), left=True),
@@ -89,7 +89,7 @@ def _statistic_column(name: str, view: View, width: int) -> _Column:
 
 
 def learners(state: DashboardState, width: int, rows: int) -> RenderableType:
-    """One row per learner below a header line; a last line counts those that do not fit."""
+    """One row per learner; a last line counts those that do not fit."""
     columns = _learner_columns(width)
     table = Table(box=None, padding=(0, 1 if width < 120 else 2, 0, 0), pad_edge=False, header_style="dim")
     for column in columns:
@@ -138,7 +138,7 @@ def q_rows(state: DashboardState, rows: int) -> tuple[list[int], int]:
 
 
 def q_columns(state: DashboardState, width: int) -> tuple[dict[str, int], int]:
-    """The pids whose columns fit into ``width``, with their widths, and the number of others."""
+    """The pids whose columns fit into ``width``, with widths, and the number of others."""
     cells: dict[str, list[QCell]] = {row.pid: [] for row in state.learners}
     for cell in state.q_table:
         cells.setdefault(cell.pid, []).append(cell)

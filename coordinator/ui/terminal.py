@@ -1,4 +1,4 @@
-"""A console file that never raises and never blocks for long, even if its reader is slow or dead."""
+"""A console file that never raises or blocks for long."""
 
 from __future__ import annotations
 
@@ -100,7 +100,7 @@ def _descriptor(file: IO[str]) -> int | None:
 
 
 def _open_terminal(file: IO[str]) -> int | None:
-    """A second, non-blocking descriptor of a file's terminal; None without one."""
+    """A second, non-blocking descriptor of a file's terminal, or None."""
     try:
         file.flush()
         if not file.isatty():

@@ -1,4 +1,4 @@
-"""Formats the dashboard's numbers, texts, bars and curves; independent of the run."""
+"""Formats numbers, texts, bars and curves for the dashboard."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ UNKNOWN = "-"
 
 
 def clean(text: str) -> str:
-    """The text with unprintable characters (escape codes, newlines, ...) replaced by spaces."""
+    """The text with unprintable characters (escape codes, newlines) as spaces."""
     return text if text.isprintable() else "".join(c if c.isprintable() else " " for c in text)
 
 
@@ -76,7 +76,7 @@ def value(number: float) -> str:
 
 
 def bar(share: float | None, width: int, style: str) -> Text:
-    """A bar of ``width`` cells, filled to ``share`` (clamped to 0..1); empty if unknown."""
+    """A bar of ``width`` cells, filled to ``share`` (0..1); empty if unknown."""
     known = share is not None and math.isfinite(share)
     filled = round(width * min(max(share or 0.0, 0.0), 1.0)) if known else 0
     return Text.assemble(("━" * filled, style), ("─" * (width - filled), "dim"))

@@ -1,4 +1,4 @@
-"""Subscribes to a coordinator's published state and shows it on the terminal."""
+"""Shows a coordinator's published state on the terminal."""
 
 from __future__ import annotations
 
@@ -43,8 +43,8 @@ def watch(
         endpoint: the coordinator's state endpoint.
         keep_going: polled several times a second; False stops.
         keys: this client's, if the coordinator has keys.
-        console: where to draw; by default the process's terminal.
-        silence_s: stop after this many seconds without a state; None for no limit.
+        console: where to draw; by default the terminal.
+        silence_s: stop after this many seconds without a state.
 
     Returns:
         The last state seen.
@@ -87,7 +87,7 @@ def _check_refusal(handshakes: HandshakeMonitor, endpoint: str, keys: ClientKeys
 
 
 def _newest(socket: Socket) -> DashboardState | None:
-    """The newest waiting state, or None after a short wait; drops older ones."""
+    """The newest waiting state; None after a short wait."""
     newest: DashboardState | None = None
     timeout = POLL_S
     while True:

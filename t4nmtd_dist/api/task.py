@@ -34,10 +34,10 @@ class Task:
     Args:
         formula: LTLf over the propositions.
         env: a function that creates the environment, or a registered Gymnasium id.
-        labels: maps a step's observation (as the environment returned it) and info to the names that hold. Without it,
-            the environment reports ``info["labels"]``.
+        labels: maps a step's observation (as the environment returned it) and info to the names that hold; default
+            ``info["labels"]``.
         horizon: steps of an evaluated episode; required unless the id is registered with a limit.
-        propositions: all names that may be reported; by default those in the formula.
+        propositions: all reportable names; by default those in the formula.
         name: for the run directory.
         settings: other task-file settings, nested or with dotted keys: ``{"learner.gamma": 0.95}``.
 
@@ -45,7 +45,7 @@ class Task:
         config: the settings with all defaults.
 
     Raises:
-        ConfigError: for a setting that is unknown or out of range, or a missing horizon.
+        ConfigError: for an unknown setting, one out of range, or a missing horizon.
         FormulaError: if the formula cannot be parsed, or uses an undeclared name.
     """
 
@@ -97,7 +97,7 @@ class Task:
 
     @property
     def needs_this_process(self) -> bool:
-        """Whether its functions exist only in this process, so that other programs cannot import them."""
+        """Whether other programs cannot import its functions."""
         environment = self.config.environment
         return is_given(environment.id) or is_given(environment.labels)
 
@@ -122,7 +122,7 @@ def _nested(settings: Settings) -> dict[str, Any]:
 
 
 def _setting(function: Callable[..., Any]) -> str:
-    """``module:name`` if other processes can import it; otherwise a placeholder name valid in this process."""
+    """``module:name`` if importable elsewhere; otherwise a name valid in this process."""
     module, name = getattr(function, "__module__", None), getattr(function, "__qualname__", "")
     loaded = sys.modules.get(module or "")
     importable = module not in (None, "__main__") and getattr(loaded, name, None) is function
@@ -130,7 +130,7 @@ def _setting(function: Callable[..., Any]) -> str:
 
 
 def _folders(functions: Sequence[Callable[..., Any]]) -> list[str]:
-    """Folders of importable functions' modules, for processes with another ``sys.path``."""
+    """Folders of importable functions' modules, for other processes."""
     folders = []
     for function in functions:
         module = sys.modules.get(getattr(function, "__module__", ""))

@@ -59,7 +59,7 @@ def train(
         resume: continue the stopped run in ``run_dir``; task and seed must be the same.
         device: where the networks are trained.
         progress: show a progress line.
-        launcher: a name of ``core.registry.LAUNCHERS``; None for ``serial`` if set, else ``forked`` on Linux and
+        launcher: a key of ``core.registry.LAUNCHERS``; None for ``serial`` if set, else ``forked`` on Linux and
             ``local`` elsewhere.
 
     Returns:
@@ -67,7 +67,7 @@ def train(
 
     Raises:
         ConfigError: if the arguments contradict each other or the task.
-        EnvError: if the environment does not do what the method needs; the text says what and how to fix it.
+        EnvError: if the environment does not meet the method's requirements.
         RunError: if ``run_dir`` already holds a run, or a process cannot continue.
     """
     task = Task.load(task) if isinstance(task, str) else task
@@ -120,7 +120,7 @@ def _resumed(task: Task, options: RunOptions, launcher: str) -> RunPlan:
 
 @contextmanager
 def _named_task(plan: RunPlan, options: RunOptions, launcher: str) -> Iterator[RunOptions]:
-    """Options that name a task file, for launchers whose coordinator has to read it."""
+    """Options naming a task file, for coordinators that must read one."""
     if launcher in SHARES_OBJECTS or plan.resumes:
         yield options
         return

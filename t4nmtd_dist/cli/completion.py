@@ -23,7 +23,7 @@ def print_completion(shell: str, program: str, *, verbs: Any) -> int:
 
 
 def _command(program: str, verbs: Any) -> Any:
-    """The type that a program's command line is parsed into."""
+    """The type for a program's command line."""
     if program == "t4nmtd-coordinator":
         from t4nmtd_dist.cli.coordinator import CoordinatorCommand
 

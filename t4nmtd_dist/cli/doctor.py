@@ -168,7 +168,7 @@ def _talk(context: Context, endpoint: str, own: ClientKeys | None, wait_s: float
 def _disagreement(
     context: Context, endpoint: str, own: ClientKeys | None, wait_s: float, outcome: str | None
 ) -> Finding:
-    """Why the handshake of an established TCP connection failed."""
+    """Why the handshake over an established connection failed."""
     if outcome == "refused" and own is not None:
         text = f"the coordinator does not let in the key of {own.own.name} ({own.own.public})"
         return Finding("key", "FAILED", text, "on its machine: t4nmtd keys list DIR; then t4nmtd keys add DIR NAME")

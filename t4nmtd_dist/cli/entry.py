@@ -25,7 +25,7 @@ def parse(command: Any, program: str, description: str | None) -> Any:
 
 
 def check_verb(verbs: list[str]) -> None:
-    """Exit with a suggestion if the first word of the command line is not a subcommand."""
+    """Exit with a suggestion if the first word is not a subcommand."""
     word = next(iter(sys.argv[1:]), "-")
     if word.startswith("-") or word in verbs:
         return

@@ -76,7 +76,7 @@ def run_inspect(
         as_json: print one JSON object instead of the page.
         svg: also draw the automaton to this file.
         summary: print the summary instead of the page; None for automata of more than 60 states.
-        seed: of the random decomposition, as of a run; unused by other modes.
+        seed: of the random decomposition; unused by other modes.
 
     Raises:
         T4NMTDError: if the formula, the settings or the file cannot be used, or the time limit passes.
@@ -154,7 +154,7 @@ def _check_drawable(dfa: DFA) -> None:
 
 
 def _print_page(console: Console, title: str, formula: str, found: Inspection, summary: bool | None) -> None:
-    """Print the summary if requested (True) or the automaton is large (None), else the full page."""
+    """Print the summary if requested or, by default, for large automata; else the full page."""
     if summary is False or (summary is None and found["states"] <= MOST_STATES):
         print_inspection(console, title, formula, found)
         return
@@ -236,7 +236,7 @@ def _role(found: Inspection, q: int) -> str:
 
 
 def _edges(found: Inspection) -> Table:
-    """Every edge, with one guard cube per line, and its sub-tasks."""
+    """Every edge with its sub-tasks; one guard cube per line."""
     table = _table("Transitions", "q", "q'", "guard", "sub-tasks", right=("q", "q'"))
     owning: dict[tuple[int, int], list[str]] = {}
     for pid, taus in found["subtasks"].items():
@@ -258,7 +258,7 @@ def _subtasks(found: Inspection) -> Table:
 
 
 def _targets(taus: Sequence[Sequence[int]]) -> str:
-    """``q → {q', ...}`` for every source q of a sub-task's transitions."""
+    """``q → {q', ...}`` for every source q."""
     targets: dict[int, list[int]] = {}
     for q, to in sorted(map(tuple, taus)):
         targets.setdefault(q, []).append(to)

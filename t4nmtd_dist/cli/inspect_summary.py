@@ -71,7 +71,7 @@ def _subtasks(found: Inspection) -> Iterator[str]:
 
 
 def _bars(found: Inspection) -> Iterator[str]:
-    """A histogram of at most ``MOST_BARS`` bars: states by distance, in integer ranges."""
+    """A histogram of states by distance, with at most ``MOST_BARS`` bars."""
     finite = Counter(int(dist) for dist in found["dist"].values() if dist is not None)
     span = -(-(max(finite, default=0) + 1) // MOST_BARS)
     bars = Counter({first: sum(finite[first + i] for i in range(span)) for first in range(0, max(finite) + 1, span)})

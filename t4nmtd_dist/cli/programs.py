@@ -1,4 +1,4 @@
-"""Entry points of the programs; they first check that no other package hides ours."""
+"""Entry points of the programs, with a check that no package hides ours."""
 
 from __future__ import annotations
 

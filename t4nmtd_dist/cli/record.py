@@ -60,7 +60,7 @@ def _check_format(out: Path) -> None:
 
 @contextmanager
 def _writer(out: Path, fps: int) -> Iterator[Any]:
-    """A video writer under a temporary name, renamed to ``out`` on success."""
+    """A video writer that renames its file to ``out`` on success."""
     import imageio.v2 as imageio
 
     fresh = out.with_name(f".{out.stem}.new{out.suffix}")

@@ -54,7 +54,7 @@ def show_status(endpoint: str, keys: Path | None, wait_s: float, *, check: bool,
 
 
 def tell_ending(over: RunOverError, *, for_people: bool) -> int:
-    """Say how the requested run ended: to users on stdout, for programs on stderr; returns 1."""
+    """Report the requested run's end: to users on stdout, for programs on stderr; returns 1."""
     if for_people:
         print(over)
     else:

@@ -30,7 +30,7 @@ def train(
 
     Args:
         options: of the run.
-        launcher: a name of ``core.registry.LAUNCHERS``.
+        launcher: a key of ``core.registry.LAUNCHERS``.
         dashboard: whether to show it.
         keys: folder of keys, for a shared machine.
         workers: number of learner processes; None for one per sub-task.

@@ -1,4 +1,4 @@
-"""Builds a program from a plan: compiles the task, checks its environment, assigns sub-tasks to processes."""
+"""Builds a checked program from a plan."""
 
 from __future__ import annotations
 
@@ -34,11 +34,11 @@ def build_program(
         device: where they train.
         keys: folder of keys, for a shared machine.
         dashboard: whether to show the run on this terminal.
-        warn: called with a line about each concern with the environment.
+        warn: logs concerns with the environment.
 
     Raises:
         ConfigError: if the sub-tasks cannot be divided among ``workers``.
-        EnvError: if the environment does not do what the run needs.
+        EnvError: if the environment does not meet the requirements.
         KeyFileError: if the keys cannot be used.
     """
     task = ready_task(plan, options, warn)
@@ -49,10 +49,10 @@ def build_program(
 
 
 def ready_task(plan: RunPlan, options: RunOptions, warn: Callable[[str], object]) -> CompiledTask:
-    """Compile the task, check its environment, and resolve settings left to the environment.
+    """Compile the task, check its environment, and resolve settings that depend on it.
 
     Raises:
-        EnvError: if the environment does not do what the run needs.
+        EnvError: if the environment does not meet the requirements.
     """
     task = prepared(compile_task(plan.config, translator=options.translator, seed=plan.seed))
     for text in cautions(task):

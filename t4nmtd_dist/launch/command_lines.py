@@ -1,4 +1,4 @@
-"""Command lines of a program's roles, for launchers that start processes here or elsewhere."""
+"""Command lines of a program's roles, for launchers."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from t4nmtd_dist.runs.directory import CHECKPOINTS_FOLDER
 
 
 def python_command(script: str) -> list[str]:
-    """The command that starts a ``coordinator`` or ``worker``, without the current folder on Python's path."""
+    """The command for ``coordinator`` or ``worker``, without the current folder on Python's path."""
     return [sys.executable, "-P", "-m", "t4nmtd_dist.cli.programs", script]
 
 

@@ -1,4 +1,4 @@
-"""Reports failed processes on the terminal and, through the coordinator, in the event log."""
+"""Reports failed processes on the terminal and in the event log."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ class FailureReports:
         self._texts: list[str] = []
 
     def __call__(self, text: str, urgent: bool) -> None:
-        """Report now: always to the event log, to the terminal only if urgent."""
+        """Report now: to the event log, and if urgent to the terminal."""
         if urgent:
             self._texts.append(text)
         if not self._held:
@@ -42,7 +42,7 @@ class FailureReports:
             context.term()
 
     def release(self) -> None:
-        """Print held reports, and from now on only print: the coordinator is about to exit."""
+        """Print held reports; from now on only print, because the coordinator is about to exit."""
         self.control, self._held = "", False
         self._print()
 

@@ -29,7 +29,7 @@ CODES = {"solved": SOLVED, "budget spent": BUDGET_SPENT}
 
 
 def start(program: Program, supervisor: Supervisor) -> Handle:
-    """Start a program as forks of this process; see ``Launcher.start``."""
+    """Start a program as forks of this process; see ``Launcher``."""
     return start_processes(program, supervisor, fork)
 
 
@@ -76,7 +76,7 @@ class ForkedProcess:
 
 
 def _child(program: Program, role: Role, control: str, parent: int) -> None:
-    """Run a role and exit without running inherited clean-up."""
+    """Run a role and exit without inherited clean-up."""
     code = USAGE
     try:
         _leave_parent(program, role)
@@ -95,7 +95,7 @@ def _child(program: Program, role: Role, control: str, parent: int) -> None:
 
 
 def _leave_parent(program: Program, role: Role) -> None:
-    """Detach from the parent's terminal, output, signal handlers and threads."""
+    """Detach from the parent's terminal, output, signals and threads."""
     os.setsid()
     signal.set_wakeup_fd(-1)  # inherited from a notebook's event loop
     for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):

@@ -44,7 +44,7 @@ class Spawn(Protocol):
 
 
 def start(program: Program, supervisor: Supervisor) -> Handle:
-    """Start a program as processes of this machine; see ``Launcher.start``."""
+    """Start a program as processes of this machine; see ``Launcher``."""
     return start_processes(program, supervisor, spawn_command)
 
 
@@ -69,7 +69,7 @@ def start_processes(program: Program, supervisor: Supervisor, spawn: Spawn) -> H
 
 
 def spawn_command(program: Program, role: Role, control: str) -> Process:
-    """Start a role by its command line, in its own session, so that Ctrl-C does not reach it."""
+    """Start a role by its command line, in its own session, out of reach of Ctrl-C."""
     if role.kind == "coordinator":
         command = [*coordinator_command(program), "--bind", LOOPBACK, "--publish", LOOPBACK]
     else:
@@ -164,7 +164,7 @@ class LocalProcesses:
         return coordinator_failure(self._program.log(self._program.coordinator), code)
 
     def end(self) -> None:
-        """Terminate remaining processes; returns once all have written their checkpoints or were killed."""
+        """Terminate remaining processes, and wait for their last checkpoints."""
         running = {f"worker {name}": worker.process for name, worker in self.workers.workers.items()}
         running |= {"the coordinator": self._coordinator} if self._coordinator is not None else {}
         end_processes(running, self._report)
@@ -175,7 +175,7 @@ def end_processes(running: Mapping[str, Process], report: Callable[[str, bool], 
 
     Args:
         running: by name.
-        report: called about each killed process.
+        report: called for each killed process.
     """
     for process in running.values():
         if process.poll() is None:

@@ -9,7 +9,7 @@ LONGEST_LINE = 1000
 
 
 def tail(log: Path, begin: int = 0) -> str:
-    """The last lines of a log after its first ``begin`` bytes; "" if it is gone."""
+    """Last lines of a log after its first ``begin`` bytes; "" if it is gone."""
     try:
         written = log.read_bytes()[begin:]
     except OSError:
@@ -27,7 +27,7 @@ def size(log: Path) -> int:
 
 
 def coordinator_failure(log: Path, code: int | None) -> str:
-    """Why a coordinator ended without an outcome: its own message, or its exit code and log."""
+    """Why a coordinator ended without an outcome: its message, or exit code and log."""
     said = tail(log)
     if said.startswith("t4nmtd-coordinator: "):
         return said.removeprefix("t4nmtd-coordinator: ")

@@ -1,4 +1,4 @@
-"""A program: the processes of a run as data. A launcher decides where and how they run."""
+"""A program: a run's processes as data; a launcher decides where and how they run."""
 
 from __future__ import annotations
 
@@ -116,7 +116,7 @@ def assign_pids(pids: Sequence[str], workers: int | None) -> dict[str, list[str]
 
 
 def _name_of(pids: Sequence[str], taken: Mapping[str, object]) -> str:
-    """The sub-tasks' names joined; a number if that is too long, taken or reserved."""
+    """The sub-tasks' names joined, or a numbered name if unusable."""
     joined = "+".join(map(file_name, pids))
     if len(joined) <= LONGEST_NAME and joined not in taken and joined not in RESERVED_NAMES:
         return joined

@@ -32,7 +32,7 @@ class Supervisor:
     """Callbacks from a launcher to its caller.
 
     Attributes:
-        report: called with a text about a failed process, and whether to show it on the terminal.
+        report: called with a text about a failed process, and whether it is urgent.
         interrupted: whether the user wants the run to stop.
     """
 
@@ -58,7 +58,7 @@ class Handle(Protocol):
         """The coordinator's endpoints; None if all roles share this process."""
 
     def check(self) -> bool:
-        """Supervise the processes (or do a part of the work); False once the run is over.
+        """Supervise the processes, or do some of the work; False once the run is over.
 
         Called several times a second, so it must return quickly.
 
@@ -80,7 +80,7 @@ class Handle(Protocol):
         """
 
     def end(self) -> None:
-        """End what is left of the program and release its resources; also called after errors."""
+        """End what is left and release resources; also called after errors."""
 
     def failure(self) -> str:
         """Why the run ended without an outcome; called after ``end``."""

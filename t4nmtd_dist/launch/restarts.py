@@ -53,8 +53,6 @@ class Worker:
 
     Attributes:
         learns: whether it is a learner rather than an evaluator.
-        process: the newest one.
-        restarts: number of restarts.
         refusals: number of exits with a code for user-fixable problems.
         given_up: whether it is no longer restarted.
         restart_at: time of the next restart; None while running.
@@ -92,7 +90,7 @@ class Worker:
 
     @property
     def is_urgent(self) -> bool:
-        """Whether to show its end to the user: it failed by itself, or was killed again."""
+        """Whether the user should see its end: it failed by itself, or was killed again."""
         return self.restarts > 0 or -self.code not in KILLED_BY
 
     def death_report(self) -> str:
@@ -103,7 +101,7 @@ class Worker:
         return f"worker {self.name} {how} and {fate}; {last}".rstrip()
 
     def note_death(self, now: float) -> None:
-        """Record the end of its process, and schedule a restart or give up."""
+        """Record its end, and schedule a restart or give up."""
         self.lived_s = now - self.began
         if self.lived_s > FORGIVEN_S:
             self.refusals = 0
@@ -112,7 +110,7 @@ class Worker:
         self.restart_at = now + RESTART_PAUSE_S * 2 ** min(self.restarts, 5)
 
     def restart(self, now: float) -> None:
-        """Restart it under the same name, so that it gets its own sub-tasks back at once."""
+        """Restart it under the same name, to get its sub-tasks back at once."""
         self.restarts += 1
         self.restart_at = None
         self.log_size = size(self.log)
@@ -161,10 +159,9 @@ class RestartedWorkers:
             worker.restart(now)
 
     def _check_learners(self) -> None:
-        """End the run if no learner is left: all were given up, or all refused at the start.
+        """End the run if all learners were given up or refused at the start, or one because of the environment.
 
-        End it too if the environment, common to all learners, made one give up: the others might wait for its sub-task
-        for ever.
+        All learners share the environment, and the others might wait for that sub-task for ever.
         """
         learners = [worker for worker in self.workers.values() if worker.learns]
         if not learners:

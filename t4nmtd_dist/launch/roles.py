@@ -1,4 +1,4 @@
-"""Creates a program's roles as objects, for forking launchers and the command-line programs."""
+"""Creates a program's roles as objects of this process."""
 
 from __future__ import annotations
 
@@ -34,8 +34,8 @@ def coordinator_service(
         task: compiled and checked (``build.ready_task``).
         options: for checkpoint interval, TensorBoard and restart.
         access: endpoints and access control.
-        lease_s: seconds of silence after which a worker counts as lost.
-        by_hand: whether users start the workers and need the commands.
+        lease_s: seconds of silence until a worker is lost.
+        by_hand: whether users start the workers.
 
     Raises:
         ConfigError: if the task or its weights are too large for a message, or an endpoint cannot be used.

@@ -38,7 +38,7 @@ def launch(
 
     Args:
         program: the program.
-        launcher: a name of ``core.registry.LAUNCHERS``.
+        launcher: a key of ``core.registry.LAUNCHERS``.
         interrupted: whether the user wants the run to stop; by default after Ctrl-C, SIGTERM or SIGHUP.
         show: replaces the dashboard.
 
@@ -82,7 +82,7 @@ def _see_through(program: Program, launcher: Launcher, interrupted: Callable[[],
 
 
 def _watch(handle: Handle, interrupted: Callable[[], bool], dashboard: bool, keys: ClientKeys | None) -> None:
-    """Supervise and show the program until it is over or interrupted."""
+    """Supervise and show the program until its end or interruption."""
 
     def keep_going() -> bool:
         return handle.check() and not interrupted()
@@ -101,7 +101,7 @@ def _watch(handle: Handle, interrupted: Callable[[], bool], dashboard: bool, key
 
 
 def _exit_code(program: Program, handle: Handle, interrupted: Callable[[], bool]) -> int | None:
-    """The run's exit code; None if it does not end in time."""
+    """The run's exit code; None after a timeout."""
     code = handle.exit_code(OUTCOME_S)
     if code is None and not interrupted():
         log = program.log(program.coordinator)

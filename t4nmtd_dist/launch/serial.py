@@ -117,7 +117,7 @@ class SerialRun:
         self._next = state["next"]
 
     def _load_counts(self, pid: str, session: State) -> None:
-        """Restore the query counts; open questions are asked and counted again."""
+        """Restore the query counts; open questions are asked again."""
         open_rows = sum(len(drawn["asked_rows"]) for drawn in session["learner"].get("ahead", ()))
         counts = InterventionCounts(**session["counts"])
         peers = self.peers[pid]

@@ -1,4 +1,4 @@
-"""Checkpoints of a serial run, written between rounds so that it resumes bit for bit."""
+"""Checkpoints of a serial run, which resumes bit for bit."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ class SerialCheckpoints:
         self._directory.log_event(self._run.coordinator.elapsed_s, text)
 
     def resume(self) -> None:
-        """Restore the newest checkpoint into a fresh run; later work is repeated and counted again.
+        """Restore the newest checkpoint into a fresh run; later work is repeated.
 
         The repetition is bit-identical. Without a checkpoint the run starts over, with the same result.
         """

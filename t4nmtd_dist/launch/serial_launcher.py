@@ -23,7 +23,7 @@ CODES = {"solved": SOLVED, "budget spent": BUDGET_SPENT}
 
 
 def start(program: Program, supervisor: Supervisor) -> Handle:
-    """Prepare a program to run in this process; see ``Launcher.start``."""
+    """Prepare a program to run in this process; see ``Launcher``."""
     return SerialHandle(program, supervisor)
 
 

@@ -26,7 +26,7 @@ def check_import_names() -> None:
 
 
 def _found(name: str) -> Path | None:
-    """The file or folder that ``import name`` would load."""
+    """What ``import name`` would load."""
     try:
         spec = importlib.util.find_spec(name)
     except ValueError:  # a module without a spec

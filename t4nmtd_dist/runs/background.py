@@ -16,7 +16,7 @@ class BackgroundWriter:
     """Writes checkpoints and reports failures: a full disk does not end training.
 
     Args:
-        tell: called with a line about every checkpoint or failure, possibly from another thread.
+        tell: logs every checkpoint or failure, possibly from another thread.
     """
 
     def __init__(self, tell: Warn) -> None:

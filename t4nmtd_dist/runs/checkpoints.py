@@ -114,7 +114,7 @@ def _write(path: Path, parts: Iterator[bytes | memoryview] | list[bytes]) -> dic
 
 
 def _rename(fresh: Path, folder: Path) -> Path:
-    """Rename it to the next number; retries if another writer takes that."""
+    """Rename it to the next free number."""
     number = max(_numbers(folder), default=0) + 1
     while True:
         path = folder / _name(number)
@@ -153,7 +153,7 @@ def newest_checkpoint(folder: Path, fits: Callable[[State], bool], warn: Warn) -
     Args:
         folder: of one state's checkpoints.
         fits: whether a checkpoint with this metadata is wanted; others are skipped silently.
-        warn: called about every damaged one.
+        warn: logs every damaged one.
     """
     if folder.is_symlink():
         warn(f"{folder} is a symbolic link: the checkpoints behind it are not read")

@@ -55,7 +55,7 @@ class Counts(msgspec.Struct):
 
 
 def write_counts(checkpoints: Path, counts: State) -> None:
-    """Replace the saved counts; without fsync, so that this is cheap every second."""
+    """Replace the saved counts; no fsync, so cheap every second."""
     fresh = checkpoints / f".{COUNTS_FILE}.new"
     with open_fresh(fresh) as file:
         file.write(json.dumps(counts))
@@ -67,7 +67,7 @@ def read_counts(checkpoints: Path, warn: Warn = lambda _: None) -> State | None:
 
     Args:
         checkpoints: the run's checkpoint folder.
-        warn: called about a damaged file.
+        warn: logs a damaged file.
     """
     path = checkpoints / COUNTS_FILE
     try:

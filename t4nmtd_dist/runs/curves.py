@@ -72,7 +72,7 @@ class MeanCurve:
 
 
 def read_run(path: Path) -> RunCurves:
-    """Read a run directory, even of an active run, or a reduced copy as in ``benchmarks/results``.
+    """Read a run directory, or a reduced copy as in ``benchmarks/results``; the run may be active.
 
     Omits rows that a resumed run repeated.
 
@@ -100,7 +100,7 @@ def _runs_inside(path: Path) -> str:
 
 
 def _about(path: Path) -> tuple[str, bool]:
-    """The task's name, and whether the run solved it; an active run has no summary yet."""
+    """The task's name, and whether the run solved it."""
     try:
         if (path / SUMMARY_FILE).exists():
             summary: dict[str, Any] = json.loads((path / SUMMARY_FILE).read_text(encoding="utf-8"))

@@ -62,7 +62,7 @@ def write_atomically(path: Path, text: str) -> None:
 
 
 def _append(path: Path, text: str) -> None:
-    """Append to a file, all or nothing even on a full disk."""
+    """Append to a file, all or nothing."""
     data = text.encode()
     with open_to_append(path) as file:
         size = file.tell()
@@ -76,7 +76,7 @@ def _append(path: Path, text: str) -> None:
 
 
 def _is_of_a_run(name: str) -> bool:
-    """Whether a run writes a file or folder of this name, even temporarily."""
+    """Whether a run writes an entry of this name."""
     return name.removesuffix(".new").removeprefix("." if name.endswith(".new") else "") in FILES | FOLDERS
 
 
@@ -98,7 +98,7 @@ def _are_of_a_run(settings: Path) -> bool:
 
 
 def _until(line: str, elapsed_s: float) -> bool:
-    """Whether to keep a line: it is not a row of metrics, or not later than ``elapsed_s``."""
+    """Whether a line is not a metrics row after ``elapsed_s``."""
     first, comma, _ = line.partition(",")
     try:
         return not comma or float(first) <= elapsed_s + ROUNDING_S
@@ -155,7 +155,7 @@ class RunDirectory:
         shutil.rmtree(self.path)
 
     def _point_latest(self) -> None:
-        """Point the link ``latest`` beside the folder at it, unless something else has that name."""
+        """Point the link ``latest`` at the folder unless something else has that name."""
         latest, fresh = self.path.parent / "latest", self.path.parent / ".latest.new"
         if latest.exists() and not latest.is_symlink():
             return
@@ -164,7 +164,7 @@ class RunDirectory:
         os.replace(fresh, latest)
 
     def lock(self) -> None:
-        """Lock the folder for this process; the operating system releases the lock when it ends.
+        """Lock the folder until this process ends, however it ends.
 
         Raises:
             RunError: if another process holds the lock.
@@ -212,7 +212,7 @@ class RunDirectory:
         _append(self.path / EVENTS_FILE, json.dumps({**line, "text": text}) + "\n")
 
     def append_metrics(self, name: str, row: Mapping[str, Any]) -> None:
-        """Append a row to ``metrics/<name>.csv``; the first row defines the columns, even across resumes."""
+        """Append a row to ``metrics/<name>.csv``; the first row ever defines the columns."""
         path, text = self.path / "metrics" / f"{file_name(name)}.csv", io.StringIO(newline="")
         columns = _csv_columns(path)
         writer = csv.DictWriter(text, columns or list(row), extrasaction="ignore")
@@ -235,7 +235,7 @@ class RunDirectory:
 
 
 def _csv_columns(path: Path) -> list[str]:
-    """The columns of a CSV file; empty without a file."""
+    """Columns of a CSV file; empty without a file."""
     try:
         with path.open(encoding="utf-8", newline="") as file:
             return next(csv.reader(file), [])
@@ -244,7 +244,7 @@ def _csv_columns(path: Path) -> list[str]:
 
 
 def _locked(file: IO[bytes]) -> bool:
-    """Lock a file; retries because `t4nmtd status` holds the lock briefly to test it."""
+    """Lock a file; retries while `t4nmtd status` tests the lock."""
     for _ in range(LOCK_TRIES):
         try:
             fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)

@@ -56,7 +56,7 @@ def plan_run(options: RunOptions, *, serial: bool = False, warn: Warn = print) -
     Args:
         options: from the user.
         serial: whether all roles share one process.
-        warn: called with a line about each tolerable damage to the resumed run.
+        warn: logs each tolerable damage to the resumed run.
 
     Raises:
         ConfigError: if they contradict each other or the resumed run; see also ``load_task``.
@@ -129,7 +129,7 @@ def _check_same_run(options: RunOptions, stopped: StoppedRun, serial: bool) -> N
 
 
 def _check_same_settings(options: RunOptions, stopped: StoppedRun) -> TaskConfig:
-    """The run's settings, with a possibly raised budget and the requested compile-time limit."""
+    """The run's settings, with the requested budget and time limit."""
     own = stopped.config.to_dict()
     asked: Mapping[str, Any] = own
     for path in options.config:

@@ -116,7 +116,7 @@ def _check_format(run: Path, found: object) -> None:
 
 
 def _with_end(run: Path, config: TaskConfig, seed: int, identity: Identity) -> StoppedRun:
-    """Add how the run ended, from its summary or, if damaged, its counts."""
+    """Add how the run ended, from its summary or counts."""
     if not (run / SUMMARY_FILE).exists():
         return StoppedRun(run, config, seed, identity, "", 0)
     try:
@@ -133,7 +133,7 @@ def _with_end(run: Path, config: TaskConfig, seed: int, identity: Identity) -> S
 
 
 def _outcome(run: Path, counts: State) -> str:
-    """The outcome in a run's counts; a solved run with checkpoints has not yet written its result."""
+    """The outcome in a run's counts; "" for a solved run that has not written its result."""
     outcome = str(counts.get("outcome") or "")
     return "" if outcome == "solved" and (run / CHECKPOINTS_FOLDER / COORDINATOR).exists() else outcome
 

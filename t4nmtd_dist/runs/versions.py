@@ -16,7 +16,7 @@ GIT_S = 5.0
 
 
 def versions() -> dict[str, str]:
-    """Versions of this package (with its commit, in a Git checkout), Python, and the packages that compute."""
+    """Versions of this package (with its Git commit), Python, and the packages that compute."""
     found = {"t4nmtd-dist": __version__, "python": platform.python_version()}
     commit = commit_of(SOURCES)
     if commit:

@@ -30,7 +30,7 @@ BUSY_BYTES = 4096  # received since the last check: check again soon
 SMALL_FRAMES_BYTES = 64 << 10  # unread bytes above which process growth is blamed on them
 GROWTH_BYTES = 32 << 20
 MOST_GROWTH_BYTES = 4 * GROWTH_BYTES  # above this, blame all connections together
-SUBSTANTIAL = 16  # process growth is not blamed on less than this fraction of the unread limit
+SUBSTANTIAL = 16  # process growth is not blamed on less than 1/16 of the unread limit
 TRIM_AFTER_S = 0.5  # time for libzmq to free its buffers
 TOTAL = 2  # unread limit of all connections together, in multiples of the limit of one
 
@@ -57,10 +57,10 @@ class _Account:
 
 
 class ConnectionGuard:
-    """Watches all connections of one bound socket in its own thread; create it before the socket is used.
+    """Watches all connections of a bound socket in its own thread; create it before using the socket.
 
     Args:
-        tell: called in that thread with a line about each connection shut down.
+        tell: logs, in that thread, each connection shut down.
         failed: called in that thread with the outcome of each failed handshake.
     """
 
@@ -95,7 +95,7 @@ class ConnectionGuard:
                 account.delivered += size
 
     def drained(self) -> None:
-        """Record that no complete message waits: buffered bytes belong to incomplete ones."""
+        """Record that only incomplete messages are buffered."""
         with self._lock:
             for account in self._accounts.values():
                 if account.delivered:
@@ -141,7 +141,7 @@ class ConnectionGuard:
                 self._accounts.pop(ended, None)
 
     def _look(self) -> bool:
-        """Update the byte counts and end connections that sent too much; whether much arrived."""
+        """Update byte counts and end greedy connections; whether much arrived."""
         busy = False
         with self._lock:
             for account in list(self._accounts.values()):
@@ -156,7 +156,7 @@ class ConnectionGuard:
         return busy
 
     def _bound_all(self) -> None:
-        """End the connection with the most unread bytes if the total, or the memory it costs, is too large."""
+        """End the connection with the most unread bytes if all together cost too much."""
         most = max(self._accounts.values(), key=lambda account: account.unread, default=None)
         unread = sum(account.unread for account in self._accounts.values())
         if most is None or unread < SMALL_FRAMES_BYTES:
@@ -170,7 +170,7 @@ class ConnectionGuard:
             self._memory_before = 0
 
     def _costs_too_much(self, grown: int, most: int, unread: int) -> bool:
-        """Whether the process has grown too much and unread bytes explain it."""
+        """Whether unread bytes explain too much growth of the process."""
         substantial = self._limits.unread_bytes // SUBSTANTIAL
         blamed = unread if grown > MOST_GROWTH_BYTES else most
         return grown > GROWTH_BYTES and blamed > substantial

@@ -23,7 +23,7 @@ class Limits:
         unread_bytes: bytes received but not delivered; exceeding it ends the connection. The state socket delivers
             nothing, so there it bounds all bytes ever received.
         connections: maximum number of connections.
-        queued: maximum number of messages queued for sending.
+        queued: maximum send queue, in messages.
     """
 
     frame_bytes: int

@@ -41,7 +41,7 @@ class SecureReceiver:
 
     Args:
         allowed: the allowed keys; None for a socket without keys.
-        tell: called with a line about each connection ended or over its rate.
+        tell: logs each connection ended or over its rate.
         guard: counts delivered bytes per connection.
     """
 

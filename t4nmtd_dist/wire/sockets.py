@@ -46,7 +46,7 @@ def bind(
         insecure: allow binding without keys beyond loopback.
         own: the socket's key pair; the context's ``Authenticator`` decides who may connect.
         frame_bytes: the largest accepted frame.
-        queued: maximum number of messages queued for sending per connection.
+        queued: maximum send queue per connection, in messages.
 
     Raises:
         ConfigError: if the endpoint is malformed, unavailable, or beyond loopback without keys.

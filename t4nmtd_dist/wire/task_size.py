@@ -38,7 +38,7 @@ def check_task_size(task: CompiledTask, most: int = MAX_HEADER_BYTES - REST_BYTE
 
 
 def _check_networks(task: CompiledTask) -> None:
-    """Reject networks that are too large even with the smallest observations and actions."""
+    """Reject networks too large for any observations and actions."""
     shapes = expected_shapes(task.config, task.dfa.states, SMALLEST)
     sizes = {name: NUMBER_BYTES * math.prod(shape) for name, shape in shapes.items()}
     acting = [size for name, size in sizes.items() if name.startswith(f"{acting_part(sizes)}.")]

@@ -42,7 +42,7 @@ class AllowedFolder(AllowedKeys):
     Args:
         folder: the key folder; the list is its subfolder ``allowed``.
         always: a key that needs no file: the coordinator's own.
-        tell: called with a line about every unreadable file.
+        tell: logs every unreadable file.
     """
 
     def __init__(self, folder: Path, always: str, tell: Callable[[str], None]) -> None:

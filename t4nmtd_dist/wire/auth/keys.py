@@ -139,7 +139,7 @@ def _hint(path: Path) -> str:
 
 
 def make_private_folder(path: Path) -> None:
-    """Create a folder for its owner only, whatever the umask, or correct an existing one's permissions.
+    """Create a folder for its owner only, or correct its permissions.
 
     Raises:
         OSError: if it cannot be created.

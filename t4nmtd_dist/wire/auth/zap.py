@@ -62,7 +62,7 @@ class Authenticator:
             self._socket.close(0)
 
     def _answer(self, question: list[bytes]) -> list[bytes]:
-        """Answer a request: version, number, domain, address, routing id, mechanism, key (32 bytes)."""
+        """Answer: version, number, domain, address, routing id, mechanism, key (32 bytes)."""
         version, number, domain, address, _, mechanism, *credentials = question
         key = z85.encode(credentials[0]).decode() if mechanism == b"CURVE" and len(credentials) == 1 else ""
         if isinstance(self._allowed, AllowedFolder):

@@ -1,7 +1,7 @@
-"""All messages of the protocol as typed Structs; docs/protocol.md says who sends which and when.
+"""All messages of the protocol as typed Structs (docs/protocol.md).
 
-Arrays follow the body as raw frames, by name (``wire.codec``); a docstring lists them after "arrays:". Every field
-that clients and peers send is bounded (``wire.fields``).
+Arrays follow as raw frames, by name (``wire.codec``); docstrings list them after "arrays:". Every field that clients
+and peers send is bounded (``wire.fields``).
 """
 
 from __future__ import annotations

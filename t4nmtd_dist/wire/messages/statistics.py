@@ -40,11 +40,10 @@ class View:
 
 @dataclass(frozen=True)
 class Statistic:
-    """A statistic's declaration, beside its type.
+    """A statistic's declaration, apart from its type.
 
     Attributes:
-        counter: whether it counts up from 0 under each lease, so that leases are summed; otherwise the newest value
-            is used.
+        counter: whether it counts up from 0 under each lease, so that leases are summed; else the newest value is used.
         views: where it is shown besides the CSV file.
     """
 

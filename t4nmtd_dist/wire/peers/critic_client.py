@@ -27,9 +27,8 @@ class _Batch:
 
     Attributes:
         asked: rows requested.
-        outstanding: rows sent and not yet answered.
-        answers: values with their peer and its weights' version.
-        closed: whether it was gathered; later answers are dropped.
+        outstanding: rows sent and unanswered.
+        answers: values with their peer and weights' version.
     """
 
     asked: int = 0
@@ -54,7 +53,7 @@ class _PeerConnection:
         unsent: questions for the next request.
         waited: gatherings since the last request.
         in_flight: questions by request number.
-        misses: consecutive requests answered too late for their batches.
+        misses: consecutive late requests.
         probe_at: when to retry a silent peer.
     """
 
@@ -68,7 +67,7 @@ class _PeerConnection:
 
     @property
     def silent(self) -> bool:
-        """Whether it missed so many requests that nothing waits for it any more."""
+        """Whether nothing waits for it after too many misses."""
         return self.misses >= MISSES_UNTIL_PROBING
 
     def rows_of(self, batch: _Batch) -> int:
@@ -76,7 +75,7 @@ class _PeerConnection:
         return sum(len(part.questions) for part in self.unsent if part.batch is batch)
 
     def is_due(self, gathered: _Batch) -> bool:
-        """Whether to send now, while ``gathered`` is gathered, instead of collecting more questions."""
+        """Whether to send now instead of collecting more questions."""
         self.waited += 1
         return self.waited >= GATHERINGS_PER_REQUEST or any(part.batch is gathered for part in self.unsent)
 
@@ -85,9 +84,9 @@ class QueryPeers(PeerClient[_PeerConnection]):
     """Peers in other processes: requests go out ahead of training, answers are gathered with the batch.
 
     Consecutive batches share a request. It is sent once one batch has ``ROWS_PER_REQUEST`` rows, after
-    ``GATHERINGS_PER_REQUEST`` gatherings, or when one of its batches is gathered. An absent, slow or unknown peer costs
-    at most the gatherer's patience: its rows stay unanswered, and the learner uses its own critic. After three
-    consecutive misses the client stops waiting for a peer and queries it at most every half second until it answers.
+    ``GATHERINGS_PER_REQUEST`` gatherings, or when one of its batches is gathered. Unanswered rows cost at most the
+    gatherer's patience and fall back to the learner's own critic. After three consecutive misses the client stops
+    waiting for a peer and queries it at most every half second until it answers.
 
     Args:
         keys: this worker's own, if the coordinator has keys.
@@ -150,7 +149,7 @@ class QueryPeers(PeerClient[_PeerConnection]):
         return self._close(gathered)
 
     def _drain(self, pid: str, connection: _PeerConnection, gathered: _Batch, deadline: float) -> None:
-        """Read the answers that arrived; wait for those ``gathered`` still needs from this peer."""
+        """Read arrived answers; wait for those ``gathered`` still needs."""
         while True:
             lacking = any(part.batch is gathered for parts in connection.in_flight.values() for part in parts)
             patience_s = max(0.0, deadline - self._clock()) if lacking and not connection.silent else 0.0
@@ -179,7 +178,7 @@ class QueryPeers(PeerClient[_PeerConnection]):
             begin = end
 
     def _values(self, envelope: Envelope, rows: int) -> Values | None:
-        """The values in an answer; None if it is invalid."""
+        """An answer's values; None if invalid."""
         values = envelope.arrays.get("value")
         if not isinstance(envelope.message, ValueReply) or values is None:
             return None

@@ -32,12 +32,12 @@ class _PeerConnection:
     """The connection to one peer.
 
     Attributes:
-        origin: the peer's buffer that the steps count in; empty before the first answer.
+        origin: the peer's buffer; empty before the first answer.
         step: the next step to request.
-        stored: the step after the last one stored; -1 if this connection stored none.
+        stored: the step after the last one stored; -1 for none.
         request: number of the pending request; 0 for none.
         ask_at: when to send the next request.
-        misfit: whether an invalid answer was already reported.
+        misfit: whether an invalid answer was reported.
     """
 
     peer: Peer
@@ -60,7 +60,7 @@ class PeerExperience(PeerClient[_PeerConnection]):
         symbols: number of DFA input symbols.
         keys: this worker's own, if the coordinator has keys.
         clock: monotonic, in seconds.
-        tell: called with a line about a connection's first invalid answer.
+        tell: logs a connection's first invalid answer.
 
     Attributes:
         copies: replay buffers by pid, of peers that sent anything.
@@ -95,7 +95,7 @@ class PeerExperience(PeerClient[_PeerConnection]):
         connection.ask_at = self._clock() + (ANSWER_WITHIN_S if connection.request else ASK_EVERY_S)
 
     def _take(self, pid: str, connection: _PeerConnection, envelope: Envelope) -> None:
-        """Store an answer; if it is invalid, report it and pause requests to the peer for a minute."""
+        """Store an answer, or report an invalid one and pause for a minute."""
         connection.ask_at = self._clock() + ASK_EVERY_S
         reply = envelope.message
         if not isinstance(reply, ExperienceReply):

@@ -97,7 +97,7 @@ class PeerClient(Generic[ConnectionT]):
         self.set_peers({})
 
     def _send(self, connection: ConnectionT, message: Message, arrays: Arrays | None = None) -> int:
-        """Send a request; returns its number, or 0 if it cannot be sent now."""
+        """Send a request; returns its number, or 0 if impossible now."""
         self._next_id += 1
         sent = send(connection.socket, Envelope(message, arrays or {}, self._sender, self._next_id))
         return self._next_id if sent else 0

@@ -64,7 +64,7 @@ class ReplicaPeers(PeerClient[_PeerConnection]):
 
     A peer's weights are pulled only while its values are requested, at most every two seconds (every 0.25 s before the
     first), and only if the coordinator knows a newer version. Gathering a batch evaluates all open batches in one call
-    per peer. Rows of a peer without weights fall back to the learner's own critic. A moved peer's replica is dropped.
+    per peer. Rows of a peer without weights fall back to the learner's own critic.
 
     Args:
         make: creates a network to load peers' weights into.
@@ -105,7 +105,7 @@ class ReplicaPeers(PeerClient[_PeerConnection]):
         connection.pull_at = self._clock() + (FIRST_PULL_EVERY_S if connection.copy is None else PULL_EVERY_S)
 
     def _take(self, connection: _PeerConnection) -> None:
-        """Load weights that arrived; drops those that do not fit or are not finite."""
+        """Load arrived weights, if usable."""
         for envelope in arrived(connection.socket):
             weights = without_prefix("weights.", envelope.arrays)
             if not isinstance(envelope.message, WeightsReply) or not weights:
@@ -133,7 +133,7 @@ class ReplicaPeers(PeerClient[_PeerConnection]):
         return self._close(gathered)
 
     def _evaluate_all(self) -> None:
-        """Evaluate all waiting questions to peers with weights, in one call per peer."""
+        """Evaluate all waiting questions, in one call per peer with weights."""
         waiting: dict[str, list[tuple[_Batch, Questions]]] = {}
         for batch in self._batches.values():
             for pid, part in together(batch.waiting).items():
