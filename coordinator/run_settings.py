@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 @dataclass(frozen=True)
 class RunSettings:
-    """Settings of a run.
+    """Settings of a run that are not part of its task.
 
     Attributes:
         run_id: identifies the run across resumes, so that workers recognise its checkpoints.

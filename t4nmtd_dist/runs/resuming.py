@@ -50,7 +50,7 @@ class StoppedRun:
     Attributes:
         config: its settings and budget.
         outcome: how it ended; "" if it was killed.
-        interactions: environment steps made, from its summary or else its counts.
+        interactions: from its summary, or its counts if that is damaged; 0 without a summary.
         warnings: tolerable damage.
     """
 

@@ -1,4 +1,4 @@
-"""ZeroMQ sockets with bounded queues and messages that never block indefinitely."""
+"""ZeroMQ sockets with bounded queues, bounded messages and no indefinite blocking."""
 
 from __future__ import annotations
 
