@@ -13,8 +13,8 @@ Role = Literal["learner", "evaluator"]
 class Claim(Message, frozen=True, tag="claim"):
     """Worker -> coordinator: requests a lease on a sub-task, or the evaluator role.
 
-    ``pid`` None means the next free sub-task. ``instance`` names the worker process, so its repeated claim renews the
-    lease. ``stand_in``: a learner's worker claims the evaluator role for one evaluation.
+    ``pid`` None means the next free sub-task. ``instance`` names the worker process, which may claim again its own
+    lease, under a new epoch. ``stand_in``: a learner's worker claims the evaluator role for one evaluation.
     """
 
     role: Role
