@@ -1,14 +1,13 @@
-"""Our DQN against Stable-Baselines3's on CartPole-v1: returns for the same number of interactions, from the same seeds.
+"""Our DQN against Stable-Baselines3's on CartPole-v1: returns after equal interactions, from equal seeds.
 
     python benchmarks/cartpole.py [--interactions 20000] [--seeds 0 1] [--json]
 
-Both have networks of the same sizes, and the same learning rate, batch, discount, target step, gradient clip and
-epsilon schedule. Both make one update for every two interactions, of one-step targets, from a replay that holds
-everything; time-outs bootstrap. Ours is Double DQN with tanh layers, theirs is DQN with ReLU layers.
-Ours is what every learner is made of, ``DQN`` and ``ReplayBuffer``, driven by the plain loop below: no DFA (one with a
-single state), CartPole's own reward beside the replay.
+Both use the same layer sizes, learning rate, batch, discount, target step, gradient clip and epsilon schedule. Both
+make one update per two interactions, with one-step targets, from an unbounded replay buffer; time-outs bootstrap. Ours
+is Double DQN with tanh layers, theirs DQN with ReLU layers. Ours runs the learners' ``DQN`` and ``ReplayBuffer`` in the
+plain loop below, with a one-state DFA and CartPole's own reward.
 
-Every return is the mean of 20 greedy episodes, from the same starts for both; 500 is the most.
+Every return is the mean of 20 greedy episodes from the same starts; the maximum is 500.
 It needs Stable-Baselines3 (the ``test`` extra).
 """
 
@@ -64,11 +63,11 @@ class Agent(Protocol):
 
 
 class Ours:
-    """Our agent and replay, and a loop around them.
+    """Our agent and replay buffer in a plain loop.
 
     Args:
         seed: of environment, networks and sampling.
-        interactions: how many there will be; all are kept.
+        interactions: total number; the buffer keeps all.
     """
 
     def __init__(self, seed: int, interactions: int) -> None:
@@ -78,7 +77,7 @@ class Ours:
         self._rng = np.random.default_rng(seed)
         self._agent = DQN(initial_networks(size, 2, HIDDEN, seed), CONFIG, "cpu", self._rng)
         self.replay_buffer = ReplayBuffer(interactions, 1, size, self._agent.action_size)
-        self._rewards = np.zeros(interactions, np.float32)  # the replay's come from a DFA
+        self._rewards = np.zeros(interactions, np.float32)  # the buffer derives its rewards from a DFA
         self.updates = 0
 
     def train(self, interactions: int) -> None:
@@ -121,7 +120,7 @@ class Ours:
 
 
 class Theirs:
-    """Stable-Baselines3's DQN with the same settings; arguments as for ``Ours``."""
+    """Stable-Baselines3's DQN with the same settings and arguments."""
 
     def __init__(self, seed: int, interactions: int) -> None:
         self._dqn = stable_baselines3.DQN(
@@ -164,7 +163,7 @@ AGENTS: Mapping[str, Callable[[int, int], Agent]] = {"ours": Ours, "Stable-Basel
 
 
 def mean_return(agent: Agent, episodes: int = EPISODES) -> float:
-    """Mean return of greedy episodes, always from the same starts."""
+    """Mean return of greedy episodes from fixed starts."""
     envs = [gymnasium.make(WORLD) for _ in range(episodes)]
     observations = np.array([env.reset(seed=FIRST_EVALUATION_SEED + i)[0] for i, env in enumerate(envs)], np.float32)
     playing, total = np.ones(episodes, np.bool_), 0.0
@@ -178,7 +177,7 @@ def mean_return(agent: Agent, episodes: int = EPISODES) -> float:
 
 
 def compared(interactions: int, seeds: list[int]) -> dict[str, dict[str, Any]]:
-    """Returns of every seed, their mean, and processor seconds of training, by agent."""
+    """By agent: returns per seed, their mean, and CPU seconds of training."""
     found: dict[str, dict[str, Any]] = {name: {"returns": [], "cpu_s": []} for name in AGENTS}
     for seed in seeds:
         for name, make in AGENTS.items():

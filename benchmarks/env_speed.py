@@ -1,11 +1,9 @@
 """Steps per second of the four environments on one core, against their peers in the same run.
 
-Peers: pyRDDLGym's simulation of the IPPC 2023 RaceCar (its first instance) and gymnasium's HalfCheetah-v5, both
-without wrappers, like ours. All take random actions and are reset at the end of their horizon within the measured
-time; every figure includes observations and labels. Seconds are of processor time, all on one
-core and one thread, and the rows take turns: so other programs on the machine disturb the figures less.
-Run ``python benchmarks/env_speed.py [--json]`` after ``pip install '.[bench]'``; without those
-packages the peer is left out and its figure is null.
+Peers: pyRDDLGym's IPPC 2023 RaceCar (first instance) and gymnasium's HalfCheetah-v5, both without wrappers, like ours.
+Actions are random; times include resets, observations and labels. They are CPU time on one core and thread, and rows
+take turns, so that load disturbs the results less. Run ``python benchmarks/env_speed.py [--json]`` after
+``pip install '.[bench]'``; a missing peer's result is null.
 """
 
 from __future__ import annotations
@@ -27,7 +25,7 @@ from lake_speed import our_batch
 
 import envs
 
-Run = Callable[[], int]  # takes some steps and tells how many
+Run = Callable[[], int]  # takes some steps and returns their number
 
 LAKE = "lake, batch of 64"
 WATER_BATCH = 64
@@ -41,7 +39,7 @@ PEERS = {WATER: None, CAR: RDDL, CHEETAH: GYMNASIUM, CHEETAH_SNAPSHOTS: GYMNASIU
 
 
 def single(env: Any, steps: int, horizon: int, snapshots: bool = False) -> Run:
-    """Random steps of one environment, reset every ``horizon``."""
+    """Random steps of one environment, reset every ``horizon`` steps."""
     space = env.action_space
     actions = np.random.default_rng(0).uniform(space.low, space.high, (steps, *space.shape))
     actions = actions.astype(np.float32)
@@ -60,7 +58,7 @@ def single(env: Any, steps: int, horizon: int, snapshots: bool = False) -> Run:
 
 
 def water_batch(count: int, colours: int, steps: int) -> Run:
-    """Random steps of N Waterworlds, all reset every 300."""
+    """Random steps of N Waterworlds, reset every 300 steps."""
     batch = gymnasium.make_vec("t4nmtd/Waterworld-v0", count, vectorization_mode="vector_entry_point", colours=colours)
     actions = np.random.default_rng(0).uniform(-3.5, 3.5, (steps // count, count, 2)).astype(np.float32)
     batch.reset(seed=0)
@@ -76,7 +74,7 @@ def water_batch(count: int, colours: int, steps: int) -> Run:
 
 
 def rddl_racecar(steps: int) -> Run | None:
-    """The peer of Racecar, or None if it is not installed."""
+    """The peer of Racecar; None if not installed."""
     try:
         import pyRDDLGym
     except ImportError:
@@ -97,7 +95,7 @@ def rddl_racecar(steps: int) -> Run | None:
 
 
 def gymnasium_cheetah(steps: int) -> Run | None:
-    """The peer of HalfCheetah, or None if gymnasium's MuJoCo environments cannot be imported."""
+    """The peer of HalfCheetah; None if gymnasium's MuJoCo environments are not installed."""
     # MuJoCo 4 logs a deprecation in the model file into the current folder.
     with tempfile.TemporaryDirectory() as folder, contextlib.chdir(folder), warnings.catch_warnings():
         warnings.simplefilter("ignore")
@@ -109,7 +107,7 @@ def gymnasium_cheetah(steps: int) -> Run | None:
 
 
 def rows() -> dict[str, Run]:
-    """Everything to be measured, by name."""
+    """All measurements by name."""
     made: dict[str, Run | None] = {
         WATER: water_batch(WATER_BATCH, 6, 6400),
         "waterworld, 18 balls, batch of 16": water_batch(16, 6, 3200),
@@ -130,7 +128,7 @@ def our(env: str) -> Any:
 
 
 def measure(runs: dict[str, Run], repeats: int) -> list[dict[str, float]]:
-    """Steps per second of every row in each round; a first round warms up and is left out."""
+    """Steps per second of every row in each round, without a first warm-up round."""
     rounds = []
     for _ in range(repeats + 1):
         speeds = {}
@@ -143,7 +141,7 @@ def measure(runs: dict[str, Run], repeats: int) -> list[dict[str, float]]:
 
 
 def ratio(rounds: list[dict[str, float]], ours: str, peer: str) -> float | None:
-    """Median of the ratios of each round, since a busy machine slows both of a round."""
+    """Median of the per-round ratios, because load slows both rows."""
     if peer not in rounds[0]:
         return None
     return statistics.median(speeds[ours] / speeds[peer] for speeds in rounds)

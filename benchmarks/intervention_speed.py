@@ -2,20 +2,18 @@
 
     python benchmarks/intervention_speed.py [--json] [--rounds 6] [--slice 10]
 
-Every mode is a coordinator and worker processes of its own, all alive at once; only one mode's processes run at a time
-(the others are stopped by SIGSTOP), in slices that take turns, so that a busy machine slows all modes alike. What
-counts is what the coordinators hear: environment steps, updates, rows asked, late, own critic used, lag in versions.
-Beside wall-clock ratios to ``off`` stand ratios by processor time of the workers, which other load disturbs less; they
-do not see waiting.
+Every mode has its own coordinator and workers. Modes run in alternating time slices while the others are stopped by
+SIGSTOP, so that load slows all alike. The figures come from the coordinators: environment steps, updates, rows asked,
+late, own critic used, version lag. Ratios to ``off`` are by wall clock and by the workers' CPU time, which is less
+sensitive to load but excludes waiting.
 
-The state. Peers are asked only by learners that have successes, which takes minutes of training. So that the benchmark
-need not wait, its coordinators begin with scripted start states: the initial-state buffer of every sub-task holds cars
-near its target, and the Q table knows each sub-task. Everything else is a training: networks begin untrained, learners
-act, succeed in a share of their attempts (printed) and learn; the measurement begins when every learner has successes
-and updates. The rows asked per batch are those of this state: a trained run may have more or fewer, so they are
-printed. ``--resume RUN`` begins with a copy of a stopped run of task 5 instead, for each mode one in which nothing but
-``learner.intervention`` is changed; its learners' replay, networks, buffers and Q table are those of the run. There is
-no evaluator. ``--set`` changes settings of all modes that do not resume, such as ``learner.hidden=[256,256]``.
+Only learners with successes query peers, which takes minutes of training. The coordinators therefore begin with
+scripted start states near the targets and a Q-table that knows each sub-task. The rest is normal training of untrained
+networks. The measurement begins when every learner has successes and updates. Trained runs may ask for more or fewer
+rows per batch, so success rates and rows are printed.
+
+``--resume RUN`` instead resumes a copy of a stopped run of task 5 per mode, with only ``learner.intervention`` changed
+and evaluations disabled. ``--set`` changes settings of modes that do not resume, such as ``learner.hidden=[256,256]``.
 
 It needs psutil (the ``test`` extra).
 """
@@ -61,7 +59,7 @@ STARTS = 50
 WARM_UPDATES = 100
 START_S = 600.0
 BUDGET = 10**12
-NO_EVALUATIONS = f"evaluation.every={BUDGET}"  # which workers would do between their turns
+NO_EVALUATIONS = f"evaluation.every={BUDGET}"  # otherwise workers evaluate between turns
 LOOPBACK = "tcp://127.0.0.1:*"
 SELDOM = ("--checkpoint-every", "1e9")
 ANSWER_S = 60.0
@@ -69,7 +67,7 @@ ANSWER_S = 60.0
 
 @dataclass(frozen=True)
 class Mode:
-    """A way of intervention, and over how many processes the learners are spread."""
+    """An intervention mode, and the number of processes its learners share."""
 
     name: str
     intervention: str
@@ -87,7 +85,7 @@ MODES = (
 
 @dataclass
 class Counts:
-    """What one mode's learners did within its slices."""
+    """The work of one mode's learners within its slices."""
 
     seconds: float = 0.0
     cpu_s: float = 0.0
@@ -100,7 +98,7 @@ class Counts:
     lag_total: int = 0
 
     def add(self, before: Status, after: Status, seconds: float, cpu_s: float) -> None:
-        """Count a slice."""
+        """Add a slice."""
         self.seconds += seconds
         self.cpu_s += cpu_s
         for sign, status in ((-1, before), (1, after)):
@@ -145,7 +143,7 @@ class Run:
         return [sys.executable, __file__, "--serve", str(self.folder), *flags]
 
     def _resumed(self, stopped: Path) -> list[str]:
-        """A coordinator that goes on with a copy of the stopped run, which asks its peers in another way."""
+        """A coordinator that resumes a copy of the stopped run with this intervention mode."""
         run = self.folder / "run"
         shutil.copytree(stopped.resolve(), run)
         (run / ENDPOINTS_FILE).unlink(missing_ok=True)
@@ -178,7 +176,7 @@ class Run:
             self._check(deadline)
 
     def status(self) -> Status:
-        """What the coordinator has heard up to now."""
+        """The coordinator's status."""
         return self.inquiry.status(ANSWER_S)
 
     def signal(self, number: signal.Signals) -> None:
@@ -191,7 +189,7 @@ class Run:
         return sum(each.user + each.system for each in times)
 
     def take_turn(self, seconds: float) -> None:
-        """Run for a slice and count."""
+        """Run and measure a slice."""
         self.signal(signal.SIGCONT)
         before, cpu_s, began = self.status(), self._cpu_s(), time.monotonic()
         time.sleep(seconds)
@@ -209,7 +207,7 @@ class Run:
 
 
 def scripted_starts(pid: str) -> list[np.ndarray[tuple[int, ...], np.dtype[np.float64]]]:
-    """Cars at rest within two radii of the target of ``pid``, outside it."""
+    """Cars at rest outside the target of ``pid``, within two radii of it."""
     rng, (x, y) = np.random.default_rng(PIDS.index(pid)), TARGETS[PIDS.index(pid)]
     angles, distances = rng.uniform(0, 2 * np.pi, STARTS), rng.uniform(1.1, 2.0, STARTS) * TARGET_RADIUS
     places = zip(x + distances * np.cos(angles), y + distances * np.sin(angles), strict=True)
@@ -217,7 +215,7 @@ def scripted_starts(pid: str) -> list[np.ndarray[tuple[int, ...], np.dtype[np.fl
 
 
 def serve(folder: Path, flags: Sequence[str]) -> None:
-    """Be the coordinator of one mode, with start states and a Q table of its own making."""
+    """Run one mode's coordinator with scripted start states and Q-table."""
     task = prepared(compile_task(load_task("task5", flags=flags)))
     run = folder / "run"
     settings = RunSettings(seed=0, max_interactions=BUDGET, run_dir=str(run), lease_s=1e9)
@@ -233,7 +231,7 @@ def serve(folder: Path, flags: Sequence[str]) -> None:
 
 
 def results(runs: Sequence[Run]) -> list[dict[str, object]]:
-    """A row for every mode; ratios are to the first, ``off``."""
+    """One row per mode, with ratios to the first, ``off``."""
     rows = []
     for run in runs:
         total = Counts(**{name: sum(getattr(each, name) for each in run.slices) for name in vars(Counts())})
@@ -262,7 +260,7 @@ def results(runs: Sequence[Run]) -> list[dict[str, object]]:
 
 
 def table(rows: Sequence[dict[str, object]]) -> str:
-    """The rows for people."""
+    """The rows as text."""
     columns = {
         "mode": "mode", "processes": "workers", "steps_s": "steps/s", "updates_s": "updates/s", "spread": "spread",
         "ratio_steps_s": "ratio steps", "ratio_updates_s": "ratio updates", "ratio_updates_cpu_s": "ratio per cpu s",
@@ -305,7 +303,7 @@ def main() -> None:
     parser.add_argument("--resume", type=Path, metavar="RUN", help="begin from this stopped run of task 5")
     parser.add_argument("--serve", type=Path, help=argparse.SUPPRESS)
     arguments = parser.parse_args()
-    signal.signal(signal.SIGTERM, lambda *_: sys.exit(143))  # so that the processes of the modes are ended
+    signal.signal(signal.SIGTERM, lambda *_: sys.exit(143))  # so that `finally` ends the modes' processes
     if arguments.serve is not None:
         serve(arguments.serve, arguments.set)
         return

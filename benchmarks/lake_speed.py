@@ -1,7 +1,7 @@
 """Lake steps per second on one core: our batch of 64 against gymnasium FrozenLake-v1 8x8, same run.
 
-Random actions (pick and drop only in ours); ended lakes are reset within the
-measured time. Run ``python benchmarks/lake_speed.py [--json]``.
+Random actions (pick and drop only in ours); the time includes resets. Run
+``python benchmarks/lake_speed.py [--json]``.
 """
 
 from __future__ import annotations
@@ -64,7 +64,7 @@ def gymnasium_batch() -> Callable[[], int]:
 
 
 def steps_per_second(runs: dict[str, Callable[[], int]], repeats: int) -> dict[str, float]:
-    """Medians over the repeats, taken in turns so that a busy machine slows all alike; the first warms up."""
+    """Medians over the repeats, which alternate so that load slows all alike; the first warms up."""
     speeds: dict[str, list[float]] = {name: [] for name in runs}
     for _ in range(repeats + 1):
         for name, run in runs.items():

@@ -1,19 +1,18 @@
-"""Our SAC against Stable-Baselines3's on Pendulum-v1: returns for the same number of interactions, from the same seeds.
+"""Our SAC against Stable-Baselines3's on Pendulum-v1: returns after equal interactions, from equal seeds.
 
     python benchmarks/pendulum.py [--interactions 5000] [--seeds 0 1 2] [--json]
 
-Both have the same networks, learning rate, batch, discount, target step and initial entropy coefficient, begin with the
-same number of uniformly random actions and then make one update per interaction, of one-step targets; time-outs
-bootstrap. Ours is what every learner is made of, ``SACUpdater`` and ``ReplayBuffer``, driven by the plain loop below:
-no exploration by waves, no DFA (one with a single state), Pendulum's own dense reward beside the replay.
+Both use the same networks, learning rate, batch, discount, target step and initial entropy coefficient. Both begin with
+the same number of uniformly random actions, then make one update per interaction with one-step targets; time-outs
+bootstrap. Ours runs the learners' ``SACUpdater`` and ``ReplayBuffer`` in the plain loop below: no exploration by waves,
+a one-state DFA, and Pendulum's own dense reward.
 
-Every return is the mean of 20 deterministic episodes, from the same starts for all. The two train in turns, so that a
-busy machine slows both alike; updates/s count all that an update takes (acting, the environment's step, sampling, the
-gradient step) by processor time.
+Every return is the mean of 20 deterministic episodes from the same starts. The agents train in turns, so that load
+slows both alike; updates/s count acting, environment step, sampling and gradient step by CPU time.
 
-Ours counts as at least as good if its mean over the seeds is no more than one standard error of the difference below
-Stable-Baselines3's. The seeds are the sample: that error is sqrt(s_ours^2 / n + s_theirs^2 / n) with the standard
-deviations over the n seeds' returns. It is printed, since few seeds with a wide spread could hide much.
+Ours is at least as good if its mean is at most one standard error of the difference below Stable-Baselines3's:
+sqrt(s_ours^2 / n + s_theirs^2 / n), with the standard deviations over the n seeds' returns. The error is printed,
+because few seeds with a wide spread could hide much.
 It needs Stable-Baselines3 (the ``test`` extra).
 """
 
@@ -68,19 +67,18 @@ class Agent(Protocol):
         """Gradient updates so far."""
 
     def train(self, interactions: int) -> None:
-        """Go on training for some interactions."""
+        """Continue training for some interactions."""
 
     def actions(self, observations: Floats) -> Floats:
         """Deterministic actions [N, A] in the environment's units for observations [N, d]."""
 
 
 class Ours:
-    """Our update and replay, and a loop around them.
+    """Our updater and replay buffer in a plain loop.
 
     Args:
         seed: of environment, networks and sampling.
-        interactions: how many there will be; all are kept.
-        settings: of the update.
+        interactions: total number; the buffer keeps all.
     """
 
     def __init__(self, seed: int, interactions: int, settings: SACSettings = SETTINGS) -> None:
@@ -91,7 +89,7 @@ class Ours:
         self._observation: Floats = self._env.reset(seed=seed)[0]
         observation_size, action_size = len(self._observation), len(space.low)
         self.replay_buffer = ReplayBuffer(interactions, 1, observation_size, action_size)
-        self._rewards = np.zeros(interactions, np.float32)  # the replay's come from a DFA
+        self._rewards = np.zeros(interactions, np.float32)  # the buffer derives its rewards from a DFA
         self._updater = SACUpdater(observation_size, action_size, settings, seed)
         self._rng = np.random.default_rng(seed)
         self._updates = 0
@@ -102,7 +100,7 @@ class Ours:
         return self._updates
 
     def train(self, interactions: int) -> None:
-        """As ``OffPolicyAlgorithm.learn`` of Stable-Baselines3: a step, then an update once enough was seen."""
+        """Like Stable-Baselines3's ``OffPolicyAlgorithm.learn``: a step, then an update after the random steps."""
         for _ in range(interactions):
             self._step()
             if len(self.replay_buffer) > STARTS:
@@ -142,7 +140,7 @@ class Ours:
 
 
 class Theirs:
-    """Stable-Baselines3's SAC with the same settings; all arguments as for ``Ours``."""
+    """Stable-Baselines3's SAC with the same settings and arguments."""
 
     def __init__(self, seed: int, interactions: int, settings: SACSettings = SETTINGS) -> None:
         self._sac = SAC(
@@ -168,7 +166,7 @@ class Theirs:
         return int(self._sac._n_updates)
 
     def train(self, interactions: int) -> None:
-        """See ``Agent``; the first call resets the environment, later ones go on where the last one stopped."""
+        """See ``Agent``; the first call resets the environment, later calls continue."""
         self._sac.learn(interactions, reset_num_timesteps=False, log_interval=None)  # type: ignore[arg-type]
 
     def actions(self, observations: Floats) -> Floats:
@@ -186,7 +184,7 @@ AGENTS: Mapping[str, Callable[[int, int], Agent]] = {
 
 
 def mean_return(agent: Agent, episodes: int = EPISODES) -> float:
-    """Mean return of deterministic episodes, always from the same starts; all end by time-out in the same step."""
+    """Mean return of deterministic episodes from fixed starts; all end by time-out in the same step."""
     num_envs = [gymnasium.make(WORLD) for _ in range(episodes)]
     starts = [env.reset(seed=FIRST_EVALUATION_SEED + i)[0] for i, env in enumerate(num_envs)]
     observations, total, over = np.array(starts, np.float32), 0.0, False
@@ -200,14 +198,14 @@ def mean_return(agent: Agent, episodes: int = EPISODES) -> float:
 
 @dataclass
 class Course:
-    """What became of one agent with one seed: mean returns half-way and at the end, and what its updates cost."""
+    """One agent's training with one seed: mean returns half-way and at the end, and update costs."""
 
     returns: list[float] = field(default_factory=list)
     updates: int = 0
     cpu_s: float = 0.0
 
 
-Courses = dict[str, list[Course]]  # by agent, one for every seed
+Courses = dict[str, list[Course]]  # by agent, one per seed
 
 
 def train_in_turns(seed: int, interactions: int, names: list[str]) -> dict[str, Course]:
@@ -228,12 +226,12 @@ def train_in_turns(seed: int, interactions: int, names: list[str]) -> dict[str, 
 
 
 def returns_of(courses: list[Course]) -> list[float]:
-    """Of every seed, at the end."""
+    """Final returns of all seeds."""
     return [course.returns[-1] for course in courses]
 
 
 def updates_s(courses: list[Course]) -> float:
-    """Updates per second of processor time."""
+    """Updates per second of CPU time."""
     return sum(course.updates for course in courses) / sum(course.cpu_s for course in courses)
 
 
@@ -265,7 +263,7 @@ def _row(title: str, values: list[float]) -> str:
 
 
 def as_json(courses: Courses) -> dict[str, dict[str, Any]]:
-    """Everything, by agent."""
+    """All results by agent."""
     found: dict[str, dict[str, Any]] = {}
     theirs = returns_of(courses[THEIRS])
     for name, of_agent in courses.items():

@@ -1,10 +1,9 @@
 """Gradient updates per second of our SAC against Stable-Baselines3's, same networks and batch, one thread each.
 
-An update is all of: sampling the batch, critics, actor, entropy coefficient, target networks. Ours samples as a learner
-does with the default settings: half from a peer's experience, a share from before successes, a share read in drawn DFA
-states, n-step returns, rows whose value is a peer's; asking for these values is not in it. The two take turns, so that
-a busy machine slows both alike; processor time is what counts, wall-clock time is shown beside it. The share of the
-peak is the update's necessary arithmetic against the rate of square sgemm products measured in the same turns.
+An update includes sampling, critics, actor, entropy coefficient and target networks. Ours samples like a learner with
+default settings: half from a peer's experience, shares from before successes and in random DFA states, n-step returns,
+and rows with a peer's value; querying these values is excluded. The two take turns, so that load slows both alike. CPU
+time counts; wall time is shown. The peak share compares the update's minimum arithmetic with square sgemm products.
 Run ``python benchmarks/sac_speed.py [--json]``; it needs Stable-Baselines3 (the ``test`` extra).
 """
 
@@ -50,7 +49,7 @@ PEAK_SIDE = 256
 
 
 class Spaces(gymnasium.Env):
-    """Never stepped: Stable-Baselines3 takes its sizes from an environment."""
+    """Gives Stable-Baselines3 the sizes; never stepped."""
 
     observation_space = gymnasium.spaces.Box(-1, 1, (OBSERVATION,), np.float32)
     action_space = gymnasium.spaces.Box(-1, 1, (ACTIONS,), np.float32)
@@ -58,7 +57,7 @@ class Spaces(gymnasium.Env):
 
 @dataclass
 class Timed:
-    """A turn's work, how often it is done in a turn, and seconds per run of it in each turn."""
+    """Work of a turn: repetitions per turn, and seconds per repetition in each turn."""
 
     work: Callable[[], object]
     repeats: int
@@ -66,7 +65,7 @@ class Timed:
     wall: list[float] = field(default_factory=list)
 
     def take_turn(self) -> None:
-        """Do the work and note how long it took."""
+        """Run and time the work."""
         cpu, wall = time.process_time(), time.perf_counter()
         for _ in range(self.repeats):
             self.work()
@@ -75,7 +74,7 @@ class Timed:
 
 
 class Sampling:
-    """Batches as a learner with successes draws them, from random experience of its own and of one peer."""
+    """Draws batches like a learner with successes, from random experience of its own and one peer."""
 
     def __init__(self) -> None:
         task = compile_task(load_task(TASK))
@@ -92,7 +91,7 @@ class Sampling:
         self._source.others = {next(pid for pid in pids if pid != PID): peers}
 
     def _filled(self, task: CompiledTask, readable: NDArray[np.int32]) -> ReplayBuffer:
-        """Observations are as wide as leaves 76 for the networks; every 50th step ends an attempt, half succeed."""
+        """A buffer whose observations leave 76 inputs for the networks; attempts have 50 steps, half succeed."""
         rng, width, symbols = self._rng, OBSERVATION - task.dfa.states, task.dfa.delta.shape[1]
         experience = ReplayBuffer(STORED // WORLDS, WORLDS, width, ACTIONS)
         for step in range(STORED // WORLDS):
@@ -110,7 +109,7 @@ class Sampling:
         return experience
 
     def draw(self) -> tuple[Batch, PeerSoftValues]:
-        """A batch for the networks, and values of peers for the rows that are theirs."""
+        """A batch, and peers' values for the rows that use them."""
         drawn = self._source.draw(0, SUCCESS)
         values, log_probs = self._rng.standard_normal((2, len(drawn.asked_rows)), np.float32)
         return drawn.tensors(), PeerSoftValues(drawn.asked_rows, values, log_probs)
@@ -124,7 +123,7 @@ def our_update(*, layer_norm: bool, actor_every: int = 1) -> Callable[[], object
 
 
 def their_updates(count: int) -> Callable[[], object]:
-    """``count`` updates in one call of ``train``, as their learning loop would do them."""
+    """``count`` updates in one call of ``train``, as in their learning loop."""
     policy = {"net_arch": list(HIDDEN)}
     sac = SAC("MlpPolicy", Spaces(), buffer_size=STORED, batch_size=BATCH, policy_kwargs=policy, device="cpu", seed=0)
     sac.set_logger(Logger(None, []))
@@ -142,7 +141,7 @@ def square_product() -> Callable[[], object]:
 
 
 def update_gflop() -> float:
-    """The products that one update cannot do without, in GFLOP."""
+    """Minimum matrix products of one update, in GFLOP."""
     first, hidden = HIDDEN[0], sum(a * b for a, b in itertools.pairwise(HIDDEN))
     actor_in, critic_in = OBSERVATION * first, (OBSERVATION + ACTIONS) * first
     forward = 2 * (actor_in + hidden) + 3 * 2 * (critic_in + hidden)  # actor in s and s'; targets; critics twice
@@ -184,7 +183,7 @@ def table(timed: dict[str, Timed], peak: float) -> str:
 
 
 def ratio_of(theirs: Timed, ours: Timed) -> float:
-    """Median over the turns of their processor time over ours of the same turn."""
+    """Median over the turns of their CPU time divided by ours."""
     return statistics.median(their / our for their, our in zip(theirs.cpu, ours.cpu, strict=True))
 
 

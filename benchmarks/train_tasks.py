@@ -1,17 +1,15 @@
-"""Train tasks over seeds, evaluate the policies, keep what is small, and print the table of docs/results.md.
+"""Train tasks over seeds, evaluate the policies, keep the small files, and print the table of docs/results.md.
 
     python benchmarks/train_tasks.py --tasks task7 task8 --seeds 0 1 2 3 4
-    python benchmarks/train_tasks.py --tasks task7 --seeds 0 1 --keep    # trains nothing, keeps what has finished
-    python benchmarks/train_tasks.py --table                             # all that is kept, from benchmarks/results
+    python benchmarks/train_tasks.py --tasks task7 --seeds 0 1 --keep    # no training, keep finished runs
+    python benchmarks/train_tasks.py --table                             # everything kept, from benchmarks/results
 
-Every run is a `t4nmtd train` of its own; one that has ended in ``--runs`` is not repeated, one that was stopped goes
-on. The small files behind the table (summary, settings, evaluations, at most 200 rows of every learner's metrics) are
-copied to benchmarks/results/TASK-sSEED, the policy of every task's lowest good seed to
-benchmarks/policies/TASK.
+Every run is a separate `t4nmtd train`; finished runs in ``--runs`` are skipped, stopped ones resumed. The files behind
+the table (summary, settings, evaluations, at most 200 rows of each learner's metrics) are copied to
+benchmarks/results/TASK-sSEED, the policy of each task's lowest good seed to benchmarks/policies/TASK.
 
-In the table, the means of interactions, wall-clock time, updates and length are of the solved runs; those of success,
-perturbed success and the own critic's share are of all runs. "of paper's" is the share of the interactions that the
-paper reports.
+Means of interactions, wall-clock time, updates and length cover the solved runs, all others all runs. "of paper's" is
+the share of the paper's interactions.
 """
 
 from __future__ import annotations
@@ -33,7 +31,7 @@ HOME = Path(__file__).parent
 KEPT = ("summary.json", "config.toml", "versions.json", "metrics/evaluations.csv")
 MOST_ROWS = 200
 MOST_POLICY_BYTES = 2_000_000
-LEAST_SUCCESS = 0.97  # of a policy that is kept
+LEAST_SUCCESS = 0.97  # of a kept policy
 EPISODES = 100
 PERTURB = 20
 COLUMNS = (
@@ -51,16 +49,16 @@ PAPER = {
 
 
 def train(task: str, seed: int, run: Path, settings: Sequence[str]) -> None:
-    """Train one task with one seed, or what is left of it."""
+    """Train one task with one seed, or resume it."""
     command = training_command(task, seed, run, settings)
     if command:
         subprocess.run(_program(command), check=False)
 
 
 def training_command(task: str, seed: int, run: Path, settings: Sequence[str]) -> list[str]:
-    """The command that begins a run with ``settings`` (``key=value``) or resumes it under its own.
+    """The command that starts a run with ``settings`` (``key=value``) or resumes it under its own.
 
-    Empty for one that has ended.
+    Empty if the run has ended.
     """
     if not run.exists():
         command = ["t4nmtd", "train", "--task", task, "--seed", str(seed), "--run-dir", str(run), "--no-dashboard"]
@@ -86,7 +84,7 @@ def _program(command: list[str]) -> list[str]:
 
 
 def keep(run: Path, name: str, evaluation: dict[str, Any], home: Path = HOME) -> None:
-    """Copy the small files of a run to ``home``/results/``name``, in place of what was there."""
+    """Copy a run's small files to ``home``/results/``name``, replacing what is there."""
     kept = home / "results" / name
     shutil.rmtree(kept, ignore_errors=True)
     (kept / "metrics").mkdir(parents=True)
@@ -100,7 +98,7 @@ def keep(run: Path, name: str, evaluation: dict[str, Any], home: Path = HOME) ->
 
 
 def thinned(lines: Sequence[str], most: int = MOST_ROWS) -> list[str]:
-    """The header and at most ``most`` rows (2 or more), evenly spaced, the first and the last among them."""
+    """The header and at most ``most`` (2 or more) evenly spaced rows, including first and last."""
     header, rows = lines[:1], lines[1:]
     if len(rows) > most:
         rows = [rows[i * (len(rows) - 1) // (most - 1)] for i in range(most)]
@@ -108,9 +106,9 @@ def thinned(lines: Sequence[str], most: int = MOST_ROWS) -> list[str]:
 
 
 def keep_policy(run: Path, task: str, seed: int, home: Path = HOME) -> None:
-    """Copy the policy of a run to ``home``/policies, if its seed is the task's lowest good one among the results.
+    """Copy a run's policy to ``home``/policies if its seed is the task's lowest good one.
 
-    A run that was solved may have been lucky five times: good is what succeeds in 97 of 100 further episodes, too.
+    Solving a run may be luck, so a good policy must also succeed in 97 of 100 further episodes.
     """
     good = (row.seed for row in read_rows(home) if row.task == task and row.solved and row.success >= LEAST_SUCCESS)
     if seed != min(good, default=None):
@@ -136,7 +134,7 @@ def _say(text: str) -> None:
 
 @dataclass(frozen=True)
 class Row:
-    """What the table says of a run; success and shares from 0 to 1."""
+    """A run's row in the table; success and shares from 0 to 1."""
 
     task: str
     seed: int
@@ -179,7 +177,7 @@ def _read_row(kept: Path) -> Row:
 
 
 def table(rows: Sequence[Row]) -> Iterator[str]:
-    """The lines of the table: every run, and the means of every task after its runs."""
+    """The lines of the table: every task's runs, then their means."""
     yield "| " + " | ".join(COLUMNS) + " |"
     yield "|---" * len(COLUMNS) + "|"
     for task in sorted({row.task for row in rows}):
@@ -190,7 +188,7 @@ def table(rows: Sequence[Row]) -> Iterator[str]:
 
 
 def _line(task: str, seed: str, solved: str, reached: Sequence[Row], runs: Sequence[Row]) -> str:
-    """A line of means: of ``reached`` what is counted until the end of a run, of ``runs`` the rest."""
+    """A line of means: ``reached`` for costs and length, ``runs`` for the rest."""
     cells = [task, seed, solved, "-", "-", "-", "-", "-"]
     if reached:
         interactions = statistics.mean(row.interactions for row in reached)
@@ -223,7 +221,7 @@ def _train_and_keep(task: str, seed: int, arguments: argparse.Namespace) -> None
 
 
 def main() -> None:
-    """Run what was asked for and print the table."""
+    """Parse the arguments, train and keep, and print the table."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--tasks", nargs="+", default=["task7", "task8"])
     parser.add_argument("--seeds", nargs="+", type=int, default=[0, 1, 2, 3, 4])

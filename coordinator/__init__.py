@@ -1,1 +1,1 @@
-"""The coordinator: automaton, sub-task Q table, initial-state buffers, leases and evaluations."""
+"""The coordinator: automaton, sub-task Q-table, initial-state buffers, leases and evaluations."""

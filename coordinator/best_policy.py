@@ -1,4 +1,4 @@
-"""The best policy of a run as a file: exported at every improvement, and found there by a resume."""
+"""Exports a run's best policy, and reads it back on resume."""
 
 from __future__ import annotations
 
@@ -41,12 +41,12 @@ def export_best(state: CoordinatorState, folder: Path) -> None:
 
 
 def consider_exported(state: CoordinatorState, folder: Path, warn: Warn) -> None:
-    """Count the exported policy among the evaluated ones: it may be newer than the checkpoint, and better.
+    """Add the exported policy to the evaluated ones: it may be newer and better than the checkpoint's.
 
     Args:
         state: of the run that exported it.
-        folder: where it is, if there is one.
-        warn: told if it cannot be read.
+        folder: the export folder, which may not exist.
+        warn: called if the policy cannot be read.
     """
     mend_export(folder)
     try:

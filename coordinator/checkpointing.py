@@ -1,4 +1,4 @@
-"""When the coordinator's state goes to disk: counts every second, checkpoints every few minutes and at the end."""
+"""Persists the coordinator's state: counts every second, checkpoints at longer intervals and at the end."""
 
 from __future__ import annotations
 
@@ -20,17 +20,16 @@ from t4nmtd_dist.runs.resuming import COORDINATOR
 
 COUNTS_EVERY_S = 1.0
 TROUBLE_S = 60.0
-RESULT_OVERHEAD = 2**20  # bytes of a result besides the weights of its actors
+RESULT_OVERHEAD = 2**20  # bytes of a result besides the actors' weights
 
 
 class StateCheckpointing:
-    """Keeps what a resume needs of the coordinator.
+    """Writes what a resumed run needs of the coordinator.
 
     Args:
-        state: the coordinator's state.
-        checkpoints: folder of the run's checkpoints.
-        every_s: seconds between two checkpoints.
-        tell: called with a line about every checkpoint, from another thread, too.
+        checkpoints: the run's checkpoint folder.
+        every_s: checkpoint interval in seconds.
+        tell: logs every checkpoint, possibly from another thread.
     """
 
     def __init__(self, state: CoordinatorState, checkpoints: Path, every_s: float, tell: Warn) -> None:
@@ -64,13 +63,13 @@ class StateCheckpointing:
         return True
 
     def make_room(self) -> None:
-        """Give the reserve back, and delete all but the newest checkpoint of each process."""
+        """Release the reserve, and delete all but each process's newest checkpoint."""
         self._writer.wait()
         self._reserve.release()
         keep_newest_only(self._checkpoints)
 
     def finish(self, *, written: bool = True) -> None:
-        """Write everything a last time; a solved run whose result is ``written`` needs no checkpoints any more."""
+        """Write a last checkpoint, or delete all if the run is solved and its result is ``written``."""
         self._writer.wait()
         self._reserve.release()
         self._write_counts()
@@ -81,19 +80,19 @@ class StateCheckpointing:
 
 
 def result_size(state: CoordinatorState) -> int:
-    """About how many bytes the result of a run takes; 0 before there is a policy."""
+    """Approximate size of a run's result in bytes; 0 without a policy."""
     weights = [acting_parameters(record.weights) for record in state.records.values() if record.version]
     size = sum(int(array.nbytes) for named in weights for array in named.values())
     return size + RESULT_OVERHEAD if weights else 0
 
 
 def resume_state(state: CoordinatorState, checkpoints: Path, warn: Warn) -> str:
-    """Let a fresh coordinator go on with a stopped run; what it goes on from, in words.
+    """Restore a stopped run into a fresh coordinator; returns a line naming the source.
 
     Args:
         state: of the same task, seed and run.
-        checkpoints: folder of the run's checkpoints.
-        warn: told of damaged checkpoints and of a damaged policy.
+        checkpoints: the run's checkpoint folder.
+        warn: logs damaged checkpoints or a damaged policy.
     """
     about = {"run_id": state.settings.run_id, "place": COORDINATOR}
     found = newest_checkpoint(checkpoints / COORDINATOR, lambda told: told == about, warn)
@@ -115,5 +114,5 @@ def resume_state(state: CoordinatorState, checkpoints: Path, warn: Warn) -> str:
 def _counts_of_summary(run: Path, run_id: str) -> State | None:
     try:
         return counts_of_summary(read_summary(run), run_id)
-    except RunError:  # none, or a damaged one
+    except RunError:  # missing or damaged
         return None

@@ -1,4 +1,4 @@
-"""Checks of what workers report against the task, beyond what the types of the messages bound."""
+"""Validates workers' reports against the task."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from t4nmtd_dist.wire.statistics import by_name
 
 
 def finite_figures(stats: LearnerStats) -> LearnerStats:
-    """Statistics without the gauges that are not finite: a learner that diverges goes on."""
+    """Replace non-finite gauges by None: a diverging learner may continue."""
     unusable: dict[str, None] = {
         name: None for name, value in by_name(stats).items() if isinstance(value, float) and not math.isfinite(value)
     }
@@ -24,7 +24,7 @@ def check_report(report: EvaluationReport, task: CompiledTask) -> None:
     """Check an evaluation against the task.
 
     Raises:
-        ProtocolError: if its path leaves the automaton, or its episodes are longer than any can be.
+        ProtocolError: if it has no episodes or too long ones, or its path leaves the automaton.
     """
     horizon = task.config.environment.horizon
     if not report.episodes:

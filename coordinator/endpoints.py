@@ -1,4 +1,4 @@
-"""The coordinator's two bound sockets, and which clients they accept."""
+"""The coordinator's two bound sockets and their access control."""
 
 from __future__ import annotations
 
@@ -26,13 +26,13 @@ MESSAGES_PER_TURN = 200
 
 @dataclass(frozen=True)
 class Access:
-    """How the coordinator may be reached.
+    """The coordinator's endpoints and access control.
 
     Attributes:
-        control: endpoint on which workers are heard.
-        publish: endpoint on which the state is published.
-        keys: the coordinator's key folder; None for loopback and ``insecure``.
-        insecure: allow addresses that other machines can reach without keys.
+        control: endpoint for workers.
+        publish: endpoint that publishes the state.
+        keys: the coordinator's key folder; None for loopback or ``insecure``.
+        insecure: allow addresses beyond loopback without keys.
     """
 
     control: str
@@ -42,10 +42,7 @@ class Access:
 
 
 class BoundSockets:
-    """Binds both sockets, with keys if there are any; to be used from one thread.
-
-    Args:
-        access: how the coordinator may be reached.
+    """Binds both sockets, with keys if given; use from one thread.
 
     Raises:
         ConfigError: if an endpoint cannot be used.
@@ -113,16 +110,16 @@ class BoundSockets:
             self._notices.log(f"refused a client at {where}: it has no key, or not this coordinator's public key")
 
     def wait(self, seconds: float) -> tuple[bool, bool]:
-        """Wait until something arrives: whether messages do, and subscriptions."""
+        """Wait for input; whether messages and whether subscriptions arrived."""
         ready = dict(self._poller.poll(int(seconds * 1000)))
         return self._control in ready, self._publisher in ready
 
     def arrivals(self) -> Iterator[Arrival]:
-        """Messages that wait, of those who may send them."""
+        """The waiting messages of allowed senders."""
         return self._control_receiver.arrivals(MESSAGES_PER_TURN)
 
     def subscribed(self) -> bool:
-        """Take what waits at the state socket; whether it is somebody's subscription."""
+        """Read the state socket; whether an allowed client subscribed."""
         return self._state_receiver.subscribed(MESSAGES_PER_TURN)
 
     def answer(self, peer: bytes, envelope: Envelope) -> None:
@@ -134,10 +131,10 @@ class BoundSockets:
         send(self._publisher, envelope)
 
     def changed_keys(self) -> Set[str] | None:
-        """All allowed keys if the list has changed, after ending the connections of those taken off; else None."""
+        """All allowed keys if the list has changed, else None; ends the connections of removed keys."""
         if self._allowed is None:
             return None
-        self._allowed.refresh()  # which the authenticator's thread does as well: one of the two sees a change first
+        self._allowed.refresh()  # the authenticator's thread refreshes too: only one of the two sees a change
         allowed = self._allowed.all()
         if allowed == self._acted_upon:
             return None
@@ -147,7 +144,7 @@ class BoundSockets:
         return allowed
 
     def notices(self) -> Iterator[str]:
-        """Lines about trouble since the last call."""
+        """Lines about problems since the last call."""
         while True:
             try:
                 yield self._noticed.get_nowait()
@@ -159,7 +156,7 @@ class BoundSockets:
             self._guards.pop().close()
 
     def close(self) -> None:
-        """Close both sockets; what was sent may take half a second to leave."""
+        """Close both sockets; sent messages have half a second to leave."""
         self._close_guards()
         self._control.close(500)
         self._publisher.close(500)

@@ -1,4 +1,4 @@
-"""Unexpected exceptions in parts that a training can do without: logged once, with their place, and survived."""
+"""Logs and survives unexpected exceptions in non-essential parts."""
 
 from __future__ import annotations
 
@@ -14,12 +14,9 @@ from t4nmtd_dist.wire.rate_limited_log import Log, RateLimitedLog
 
 
 class ErrorBoundary:
-    """Says of an unexpected exception what failed and where; the traceback goes to stderr, which is the log.
+    """Logs what failed and where; writes the traceback to stderr.
 
-    The same exception at the same place is logged once in ten minutes.
-
-    Args:
-        log: called with a line for the event log.
+    It logs the same exception at the same place once in ten minutes.
     """
 
     def __init__(self, log: Log) -> None:
@@ -28,13 +25,13 @@ class ErrorBoundary:
 
     @contextmanager
     def guard(self, what: str) -> Iterator[list[Exception]]:
-        """Go on after an exception of the block; the list holds it then.
+        """Catch an exception of the block into the yielded list.
 
         Args:
-            what: what is done in the block, as in "publishing the state".
+            what: what the block does, as in "publishing the state".
 
         Raises:
-            RunError: as raised in the block: it tells the user what to do.
+            RunError: re-raised, because it tells the user what to do.
         """
         caught: list[Exception] = []
         try:

@@ -1,4 +1,4 @@
-"""When to evaluate the global policy, and when the task counts as solved or converged."""
+"""When to evaluate the global policy, and when the task is solved or converged."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ PROCESSOR_SHARE = 0.1
 
 @dataclass(frozen=True)
 class PolicySnapshot:
-    """The composed policy as it was when an evaluation was handed out: weights by pid, and Q.
+    """The composed policy when an evaluation was handed out: weights by pid, and Q.
 
     Attributes:
         interactions: environment steps of all learners up to then.
@@ -37,19 +37,19 @@ class PolicySnapshot:
 
 @dataclass(frozen=True)
 class EvaluatedPolicy:
-    """A policy and what its evaluation came to."""
+    """A policy and its evaluation."""
 
     snapshot: PolicySnapshot
     row: EvaluationRow
 
     def state_dict(self) -> State:
-        """Everything, for a checkpoint; the weights are the very arrays that are held."""
+        """The state for a checkpoint; weights are not copied."""
         snapshot = {each.name: getattr(self.snapshot, each.name) for each in fields(self.snapshot)}
         return {"snapshot": snapshot, "row": msgspec.to_builtins(self.row)}
 
     @staticmethod
     def of(state: State) -> EvaluatedPolicy:
-        """What a ``state`` is of."""
+        """Restore from ``state_dict``."""
         snapshot = dict(state["snapshot"])
         snapshot["q_table"] = [(q, pid, value) for q, pid, value in snapshot["q_table"]]
         return EvaluatedPolicy(PolicySnapshot(**snapshot), msgspec.convert(state["row"], EvaluationRow))
@@ -57,11 +57,11 @@ class EvaluatedPolicy:
 
 @dataclass
 class EvaluationSchedule:
-    """Hands out evaluations on fresh weights, counts how many in a row succeeded, and keeps the best policy.
+    """Hands out evaluations on fresh weights, counts consecutive successes, and keeps the best policy.
 
     Attributes:
-        best: the policy of the highest success rate so far, the newest among equals.
-        processor_s: processor time of all evaluations.
+        best: the policy with the highest success rate so far, the newest among equals.
+        processor_s: CPU time of all evaluations in seconds.
     """
 
     config: EvaluationConfig
@@ -75,7 +75,7 @@ class EvaluationSchedule:
     _row_from: int = 0
 
     def state_dict(self) -> State:
-        """Everything but an evaluation that is under way, which nobody will report after a resume."""
+        """Everything but the pending evaluation, which nobody reports after a resume."""
         return {
             "history": msgspec.to_builtins(self.history),
             "best": None if self.best is None else self.best.state_dict(),
@@ -87,10 +87,10 @@ class EvaluationSchedule:
         }
 
     def load_state_dict(self, state: State) -> None:
-        """Go on from a ``state``."""
+        """Restore from ``state_dict``."""
         self.history = msgspec.convert(state["history"], list[EvaluationRow])
         self.pending, best = None, state.get("best")
-        if state.get("last") is not None and state["history"]:  # as older checkpoints have it
+        if state.get("last") is not None and state["history"]:  # format of older checkpoints
             best = {"snapshot": state["last"], "row": state["history"][-1]}
         self.best = None if best is None else EvaluatedPolicy.of(best)
         self.processor_s = state["processor_s"]
@@ -98,19 +98,19 @@ class EvaluationSchedule:
         self._handed_versions = state["handed_versions"]
 
     def begin_row(self) -> None:
-        """Count no evaluation so far towards those in a row: of some that followed nothing is known."""
+        """Restart the count of consecutive successes: later evaluations were lost."""
         self._row_from = len(self.history)
 
     def due(self, interactions: int, versions: Mapping[str, int], training: frozenset[str], learners_s: float) -> bool:
-        """Whether enough was learned since the last evaluation for one on fresh weights, and it can be afforded.
+        """Whether enough was learned since the last evaluation, and another is affordable.
 
-        Evaluations take no more than a tenth of the processor time of all; the first is free.
+        Evaluations may use a tenth of the total CPU time; the first is free.
 
         Args:
             interactions: environment steps so far.
             versions: newest weights by pid.
-            training: sub-tasks whose learner is alive and training; each must have newer weights.
-            learners_s: processor time of the learners.
+            training: sub-tasks with a live, training learner; each must have newer weights.
+            learners_s: CPU time of the learners in seconds.
         """
         if self.share(learners_s) > PROCESSOR_SHARE:
             return False
@@ -120,7 +120,7 @@ class EvaluationSchedule:
         return any(newer) and all(newer)
 
     def share(self, learners_s: float) -> float:
-        """Of the processor time of learners and evaluations, what evaluations took; 0 if nothing is known."""
+        """Evaluations' share of all CPU time; 0 without evaluations."""
         return self.processor_s / max(self.processor_s + learners_s, 1e-9)
 
     def hand_out(
@@ -130,7 +130,7 @@ class EvaluationSchedule:
         versions: Mapping[str, int],
         weights: Mapping[str, Mapping[str, NDArray[Any]]],
     ) -> PolicySnapshot:
-        """The next evaluation's policy."""
+        """Begin the next evaluation; returns its policy."""
         self._jobs += 1
         self._handed_at = interactions
         self._handed_versions = dict(versions)
@@ -138,7 +138,7 @@ class EvaluationSchedule:
         return self.pending
 
     def report(self, report: EvaluationReport, elapsed_s: float) -> EvaluationRow | None:
-        """Record a result; None if it is not the one waited for."""
+        """Record a result; None if it is not the pending one."""
         if self.pending is None or report.job != self.pending.job:
             return None
         snapshot, self.pending = self.pending, None
@@ -160,42 +160,42 @@ class EvaluationSchedule:
         return row
 
     def consider(self, evaluated: EvaluatedPolicy) -> None:
-        """Keep a policy as the best if none before it succeeded more often."""
+        """Keep a policy as the best unless an earlier one succeeded more often."""
         if self.best is None or rank(evaluated.row) >= rank(self.best.row):
             self.best = evaluated
 
     @property
     def modes(self) -> tuple[ActionMode, ...]:
-        """How the next evaluation is played; see ``modes_to_play``."""
+        """Action modes of the next evaluation; see ``modes_to_play``."""
         return modes_to_play(self.config.actions, self.history[-1].actions if self.in_a_row else None)
 
     @property
     def in_a_row(self) -> int:
-        """The newest evaluations that reached the wanted success rate, all in the mode of the last one."""
+        """Number of newest evaluations that reached the target success rate in the same mode."""
         count = 0
         for row in reversed(self.history[self._row_from :]):
             if row.actions != self.history[-1].actions or not row.success_rate >= self.config.success:
-                break  # a rate that is not a number is none
+                break  # NaN is no success
             count += 1
         return count
 
     @property
     def solved(self) -> bool:
-        """Whether enough evaluations in a row succeeded."""
+        """Whether enough consecutive evaluations succeeded."""
         return self.in_a_row >= self.config.in_a_row
 
     @property
     def converged(self) -> bool:
-        """Solved, and the mean episode length of those evaluations spreads by less than 10 %."""
+        """Solved, with a relative standard deviation of those mean episode lengths below 10 %."""
         lengths = [row.mean_length for row in self.history[-self.config.in_a_row :]]
         return self.solved and float(np.std(lengths)) < CONVERGED_LENGTH_SPREAD * float(np.mean(lengths))
 
     @property
     def solved_at(self) -> int | None:
-        """Interactions at the first of the evaluations that solved the task; None while unsolved."""
+        """Interactions at the first of the solving evaluations; None while unsolved."""
         return self.history[-self.config.in_a_row].interactions if self.solved else None
 
 
 def rank(row: EvaluationRow) -> float:
-    """The success rate; one that is not a number is below all others."""
+    """The success rate; NaN ranks below all others."""
     return -1.0 if np.isnan(row.success_rate) else row.success_rate

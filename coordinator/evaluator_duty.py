@@ -1,4 +1,4 @@
-"""What the coordinator does for an evaluator: hand out evaluations and take their reports."""
+"""Hands out evaluations to evaluators and records their reports."""
 
 from __future__ import annotations
 
@@ -18,18 +18,7 @@ from t4nmtd_dist.wire.messages import EvaluationJob, EvaluationPoll, EvaluationR
 
 
 class EvaluatorDuty:
-    """Hands out evaluations of the composed policy.
-
-    Args:
-        task: the compiled task.
-        records: of all learners.
-        method: the rules of the method.
-        leasing: of the run.
-        clock: of the run.
-
-    Attributes:
-        schedule: when to evaluate, and what evaluations came to.
-    """
+    """Hands out evaluations of the composed policy."""
 
     def __init__(
         self,
@@ -44,7 +33,7 @@ class EvaluatorDuty:
         self.schedule = EvaluationSchedule(task.config.evaluation)
 
     def poll(self, peer: bytes, poll: EvaluationPoll, answers: int) -> Send:
-        """Extend an evaluator's lease and hand out an evaluation if one is due."""
+        """Renew an evaluator's lease and hand out an evaluation if one is due."""
         if not self._leasing.evaluator.renew(EVALUATOR, poll.epoch, peer, self._clock.now):
             return Send(peer, stale_evaluator(EVALUATOR), answers=answers)
         if poll.busy or not self.due():
@@ -68,10 +57,10 @@ class EvaluatorDuty:
         )
 
     def report(self, peer: bytes, report: EvaluationReport, elapsed_s: float) -> EvaluationRow | None:
-        """Record an evaluation; None if it is not the one waited for.
+        """Record an evaluation; None if it is not the pending one.
 
         Raises:
-            ProtocolError: if it cannot be true of the task.
+            ProtocolError: if it is impossible for the task.
         """
         if not self._leasing.evaluator.renew(EVALUATOR, report.epoch, peer, self._clock.now):
             return None
@@ -84,7 +73,7 @@ class EvaluatorDuty:
         return self.schedule.due(interactions(self._records), self._versions(), self._training(), learners_s)
 
     def stand_in_wanted(self) -> bool:
-        """Whether to invite a learner's worker to evaluate, because an evaluation is due and there is no evaluator."""
+        """Whether an evaluation is due without an evaluator."""
         started = interactions(self._records) > 0
         return started and self._leasing.stand_ins.wanted(self._clock.now) and self.due()
 
@@ -92,7 +81,7 @@ class EvaluatorDuty:
         return {pid: record.version for pid, record in self._records.items() if record.version}
 
     def _training(self) -> frozenset[str]:
-        """The sub-tasks whose newer weights an evaluation waits for: unusable ones will never come."""
+        """The sub-tasks whose newer weights an evaluation waits for."""
         return frozenset(
             pid
             for pid, record in self._records.items()

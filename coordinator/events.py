@@ -1,4 +1,4 @@
-"""Events that enter the coordinator's state machine, and actions that leave it."""
+"""Events into the coordinator's state machine, and actions out of it."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ class Tick:
 
 @dataclass(frozen=True)
 class Interrupted:
-    """Somebody wants the run to end."""
+    """A request to end the run."""
 
     now: float
     reason: str
@@ -41,7 +41,7 @@ class Interrupted:
 
 @dataclass(frozen=True)
 class KeysChanged:
-    """The list of clients was read anew: all public keys that are on it now."""
+    """The allow list changed; ``allowed`` holds all its public keys."""
 
     now: float
     allowed: Set[str]
@@ -49,7 +49,7 @@ class KeysChanged:
 
 @dataclass(frozen=True)
 class LogRequest:
-    """Something about the sockets that is worth a line in the event log."""
+    """A line for the event log about sockets or storage."""
 
     now: float
     text: str
@@ -60,7 +60,7 @@ Event = Received | Tick | Interrupted | KeysChanged | LogRequest
 
 @dataclass(frozen=True)
 class Send:
-    """Send a message; ``answers`` is the number of the message it answers."""
+    """Send a message; ``answers`` is the number of the request."""
 
     peer: bytes
     message: Message
@@ -70,7 +70,7 @@ class Send:
 
 @dataclass(frozen=True)
 class LogEvent:
-    """Something worth a line in the event log and on the dashboard."""
+    """A line for the event log and the dashboard."""
 
     elapsed_s: float
     text: str
@@ -78,7 +78,7 @@ class LogEvent:
 
 @dataclass(frozen=True)
 class RecordEvaluation:
-    """An evaluation to be kept."""
+    """Store an evaluation."""
 
     row: EvaluationRow
 

@@ -1,4 +1,4 @@
-"""The end of a run: write its result, and do not lose a solved one to a full disk."""
+"""Writes a run's result, and protects a solved one from a full disk."""
 
 from __future__ import annotations
 
@@ -15,29 +15,29 @@ TELL_S = 10.0
 
 
 class Checkpointing(Protocol):
-    """Holds a run's checkpoints."""
+    """Manages a run's checkpoints."""
 
     def make_room(self) -> None:
-        """Delete what a run whose result is due can do without."""
+        """Delete what a run does not need to write its result."""
 
     def finish(self, *, written: bool) -> None:
-        """Write everything a last time; a solved run whose result is ``written`` needs no checkpoints any more."""
+        """Write a last checkpoint unless the run is solved and its result ``written``."""
 
 
 def write_result(
     logger: RunLogger, checkpointing: Checkpointing, tell: Callable[[str], None], pause: Callable[[], bool]
 ) -> None:
-    """Write a run's result and last checkpoint; a solved run makes room for it, then waits for room.
+    """Write a run's result and last checkpoint; a solved run frees disk space and retries if it must.
 
     Args:
-        logger: of the run, which is over.
+        logger: of the finished run.
         checkpointing: of its checkpoints.
-        tell: called with a line about what is waited for.
-        pause: waits for a moment; False once there is no use in waiting any longer.
+        tell: logs each wait.
+        pause: waits for a moment; False to stop retrying.
 
     Raises:
-        RunError: if the policy or the summary cannot be written; the newest checkpoint is kept, for a resume. Whatever
-            else may be raised on the way is raised after that, too.
+        RunError: if the policy or summary cannot be written. The last checkpoint is written first, as before any other
+            exception.
     """
     try:
         if not logger.solved:
@@ -72,11 +72,11 @@ def _write_patiently(
 
 
 def retry_pauses(pause: Callable[[], object], give_up: Callable[[], bool]) -> Callable[[], bool]:
-    """Pauses that have a use for ``WAIT_S`` seconds from the first.
+    """Pauses between retries that give up ``WAIT_S`` seconds after the first.
 
     Args:
         pause: waits for a moment.
-        give_up: whether somebody wants to wait no longer.
+        give_up: whether the user wants to stop waiting.
     """
     deadline: list[float] = []
 

@@ -1,4 +1,4 @@
-"""What learners hand over for others to use, checked when it arrives: weights and start states."""
+"""Checks weights and start states received from learners."""
 
 from __future__ import annotations
 
@@ -14,17 +14,13 @@ from t4nmtd_dist.agents.weight_checks import NetworkSizes, check_weights, sizes_
 from t4nmtd_dist.core.errors import PolicyError
 from t4nmtd_dist.method.compiled import CompiledTask
 
-MOST_VERSIONS_AT_ONCE = 2**40  # a version near the largest would be the last
+MOST_VERSIONS_AT_ONCE = 2**40  # a version near the maximum would block all later ones
 
 Start = tuple[int, NDArray[Any]]
 
 
 class Intake:
-    """Checks weights and start states against the task.
-
-    Args:
-        task: the compiled task.
-    """
+    """Checks weights and start states against the task."""
 
     def __init__(self, task: CompiledTask) -> None:
         self._config, self._dfa_states = task.config, task.dfa.states
@@ -33,7 +29,7 @@ class Intake:
     def take_weights(
         self, pid: str, weights: Mapping[str, NDArray[Any]], version: int, records: Mapping[str, LearnerRecord]
     ) -> str:
-        """Keep newer weights of a learner; why they cannot be used, empty if they can or are none."""
+        """Store a learner's newer weights; returns why they are unusable, or ""."""
         record = records[pid]
         if not weights or version <= record.version:
             return ""
@@ -46,10 +42,10 @@ class Intake:
     def weights_trouble(
         self, weights: Mapping[str, NDArray[Any]], version: int, records: Iterable[LearnerRecord]
     ) -> str:
-        """Why weights cannot be used; empty if they can.
+        """Why weights are unusable, or "".
 
-        The settings do not say how long observations and actions are. The weights accepted first do, ``records`` of
-        a resumed run included.
+        The settings do not state the sizes of observations and actions. The first accepted weights do, including those
+        in ``records`` of a resumed run.
         """
         records = list(records)
         newest = max(record.version for record in records)
@@ -63,11 +59,11 @@ class Intake:
 
     def _known(self, records: Iterable[LearnerRecord]) -> NetworkSizes | None:
         for record in records:
-            with suppress(PolicyError):  # as a resumed run may hold them
+            with suppress(PolicyError):  # possible in a resumed run
                 return sizes_of(record.weights, self._config, self._dfa_states)
         return None
 
 
 def usable(starts: Iterable[Start]) -> list[Start]:
-    """The start states that hold finite numbers only."""
+    """The start states without non-finite numbers."""
     return [(q, state) for q, state in starts if state.dtype.kind != "f" or np.isfinite(state).all()]

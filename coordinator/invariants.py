@@ -1,4 +1,4 @@
-"""What must hold of the coordinator's parts between any two events, whatever workers send."""
+"""Invariants of the coordinator's parts between events, whatever workers send."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from t4nmtd_dist.wire.statistics import by_name, declared
 
 
 def check_leases(table: LeaseTable, now: float) -> None:
-    """Leases are on known places, under their newest epochs, and last no longer than they may."""
+    """Leases are on known places, have the newest epochs, and expire in time."""
     epochs = table.epochs()
     for lease in table.all():
         where = ("lease on", lease.place)
@@ -36,13 +36,13 @@ def check_leases(table: LeaseTable, now: float) -> None:
 
 
 def check_stand_ins(stand_ins: StandIns, table: LeaseTable) -> None:
-    """A stand-in's lease is one that the table gave."""
+    """A stand-in's lease was granted by the table."""
     newest = max(table.epochs().values())
     require(stand_ins.epoch <= newest, "a stand-in holds epoch {}, newest {}", stand_ins.epoch, newest)
 
 
 def check_records(records: Mapping[str, LearnerRecord], leases: LeaseTable, task: CompiledTask, now: float) -> None:
-    """There is one record for each sub-task; its counts, weights and marks fit together and its lease."""
+    """There is one record per sub-task, consistent in itself and with its lease."""
     pids = task.decomposition.pids
     require(tuple(records) == tuple(pids) == leases.places, "records and leases are not those of {}", pids)
     for pid, record in records.items():
@@ -57,14 +57,14 @@ def check_records(records: Mapping[str, LearnerRecord], leases: LeaseTable, task
 
 
 def check_statistics(pid: str, stats: LearnerStats) -> None:
-    """Counters are within their bounds, and all other statistics are finite."""
+    """Counters are within bounds; other statistics are finite."""
     wrong = _out_of_bounds(stats)
     require(not wrong, "{}: {}", pid, wrong)
 
 
-@lru_cache(maxsize=1000)  # between two events the statistics of one learner change
+@lru_cache(maxsize=1000)  # an event changes the statistics of one learner only
 def _out_of_bounds(stats: LearnerStats) -> str:
-    """The statistics that cannot be; empty if there are none."""
+    """The invalid statistics; empty if there are none."""
     values, wrong = by_name(stats), []
     for name, found in declared(LearnerStats).items():
         value = values[name]
@@ -75,7 +75,7 @@ def _out_of_bounds(stats: LearnerStats) -> str:
 
 
 def check_buffer(pid: str, record: LearnerRecord, task: CompiledTask) -> None:
-    """An initial-state buffer is bounded and holds states only from which its sub-task can go on."""
+    """An initial-state buffer is bounded and holds only its sub-task's start states."""
     buffer = record.buffer
     require(len(buffer) <= buffer.cursor, "{}: {} start states numbered up to {}", pid, len(buffer), buffer.cursor)
     for q in buffer.states_present():
@@ -87,7 +87,7 @@ def check_buffer(pid: str, record: LearnerRecord, task: CompiledTask) -> None:
 
 
 def check_q_table(entries: QEntries, task: CompiledTask) -> None:
-    """Q entries are finite numbers of known DFA states and sub-tasks."""
+    """Q entries are finite and belong to known DFA states and sub-tasks."""
     pids = set(task.decomposition.pids)
     for q, pid, value in entries:
         require(math.isfinite(value), "Q({}, {}) = {}", q, pid, value)
@@ -95,7 +95,7 @@ def check_q_table(entries: QEntries, task: CompiledTask) -> None:
 
 
 def check_evaluations(evaluations: EvaluationSchedule, records: Mapping[str, LearnerRecord]) -> None:
-    """Evaluations are in order; one that is under way is of weights that were received; the best is the best."""
+    """Evaluations are in order, use received weights, and are not better than the best."""
     jobs = [row.job for row in evaluations.history]
     require(all(a < b for a, b in pairwise([0, *jobs])), "evaluations are out of order: {}", jobs)
     require(0 <= evaluations.processor_s < math.inf, "evaluations took {} s", evaluations.processor_s)

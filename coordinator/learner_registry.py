@@ -1,4 +1,4 @@
-"""What the coordinator knows of each learner, across all leases on its sub-task."""
+"""The coordinator's record of each learner, across leases."""
 
 from __future__ import annotations
 
@@ -21,17 +21,17 @@ RATE_WINDOW_S = 10.0
 
 @dataclass
 class LearnerRecord:
-    """One sub-task's learner.
+    """The record of one sub-task's learner.
 
     Attributes:
         buffer: the sub-task's initial-state buffer.
         sequence: number of the last batch of progress applied in this epoch.
         earlier: counts of finished epochs.
         current: counts of this epoch.
-        version: newest weights held, 0 for none.
-        lost: whether the log says that its lease ran out.
-        complained: whether the log tells of trouble with what it sent under this lease.
-        unusable: whether its newest weights were refused.
+        version: version of the newest weights; 0 for none.
+        lost: whether the expiry of its lease was logged.
+        complained: whether invalid data was logged under this lease.
+        unusable: whether its newest weights were rejected.
     """
 
     buffer: InitialStateBuffer
@@ -52,11 +52,11 @@ class LearnerRecord:
 
     @property
     def total(self) -> LearnerStats:
-        """Counts over all epochs; rates and phases are the newest."""
+        """Counts over all epochs; other values are the newest."""
         return added(self.earlier, self.current)
 
     def state_dict(self) -> State:
-        """Everything, for a checkpoint; the weights are the very arrays that are held."""
+        """The state for a checkpoint; weights are not copied."""
         return {
             "buffer": self.buffer.state_dict(),
             "sequence": self.sequence,
@@ -67,19 +67,19 @@ class LearnerRecord:
         }
 
     def load_state_dict(self, state: State) -> None:
-        """Go on from a ``state``."""
+        """Restore from ``state_dict``."""
         self.buffer.load_state_dict(state["buffer"])
         self.earlier = msgspec.convert(state["earlier"], LearnerStats)
         self.current = msgspec.convert(state["current"], LearnerStats)
         self.sequence, self.version, self.weights = state["sequence"], state["version"], state["weights"]
 
     def raise_counts(self, total: LearnerStats) -> None:
-        """Count at least this much: what was spent after the checkpoint that the rest comes from."""
+        """Include interactions made since the loaded checkpoint."""
         if total.interactions >= self.total.interactions:
             self.earlier, self.current = total, LearnerStats()
 
     def begin_epoch(self) -> None:
-        """A new lease: earlier counts are kept, the new worker counts from zero."""
+        """Start a new lease: keep earlier counts, count from zero."""
         self.earlier = self.total
         self.current = LearnerStats()
         self.sequence = 0
@@ -87,14 +87,14 @@ class LearnerRecord:
         self._history.clear()
 
     def update(self, stats: LearnerStats, now: float) -> None:
-        """Newest counts of this epoch."""
+        """Store the newest counts of this epoch."""
         self.current = stats
         self._history.append((now, stats))
         while self._history[0][0] < now - RATE_WINDOW_S:
             self._history.popleft()
 
     def rates(self) -> dict[str, float]:
-        """Those counters per second over the last ten seconds whose rates are shown, by name."""
+        """Shown rates: counters per second over the last ten seconds, by name."""
         if len(self._history) < 2:
             return dict.fromkeys(rated(), 0.0)
         (then, before), (now, newest) = self._history[0], self._history[-1]
@@ -103,10 +103,10 @@ class LearnerRecord:
 
 
 def interactions(records: Mapping[str, LearnerRecord]) -> int:
-    """Environment steps of all learners together, evaluation excluded."""
+    """Environment steps over all epochs."""
     return sum(record.interactions for record in records.values())
 
 
 def processor_s(records: Mapping[str, LearnerRecord]) -> float:
-    """Processor time of all learners, seconds."""
+    """CPU time of all learners in seconds."""
     return sum(record.total.processor_s for record in records.values())

@@ -1,4 +1,4 @@
-"""Leases: who may learn a sub-task. Each takeover raises the epoch; older epochs have nothing to say any more."""
+"""Leases on sub-tasks. Each takeover raises the epoch; messages from older epochs are rejected."""
 
 from __future__ import annotations
 
@@ -8,9 +8,9 @@ from dataclasses import dataclass, replace
 
 @dataclass(frozen=True)
 class Lease:
-    """A worker's right to a place until ``expires`` (seconds of the coordinator's clock), or until given back.
+    """A worker's right to a place until its release or ``expires`` (seconds of the coordinator's clock).
 
-    ``key`` is the holder's public key; empty where the coordinator has no keys.
+    ``key`` is the holder's public key; empty if the coordinator has no keys.
     """
 
     place: str
@@ -25,11 +25,11 @@ class Lease:
 
 
 class LeaseTable:
-    """The leases on a fixed set of places (sub-tasks, or the evaluator's).
+    """The leases on a fixed set of places (sub-tasks, or the evaluator role).
 
     Args:
         places: what can be leased.
-        duration: seconds for which one heartbeat keeps a lease.
+        duration: seconds for which a heartbeat renews a lease.
     """
 
     def __init__(self, places: Iterable[str], duration: float) -> None:
@@ -39,11 +39,11 @@ class LeaseTable:
         self._epochs: dict[str, int] = dict.fromkeys(self.places, 0)
 
     def epochs(self) -> dict[str, int]:
-        """The newest epoch of every place, 0 where nobody ever held it."""
+        """The newest epoch of every place; 0 if it was never held."""
         return dict(self._epochs)
 
     def raise_epochs(self, epochs: Mapping[str, int]) -> None:
-        """Let coming leases have epochs above these, which an earlier start of the coordinator gave."""
+        """Continue above these epochs, which the coordinator granted before a restart."""
         for place in self.places:
             self._epochs[place] = max(self._epochs[place], epochs.get(place, 0))
 
@@ -52,24 +52,24 @@ class LeaseTable:
         return self._leases.get(place)
 
     def live(self, place: str, now: float) -> bool:
-        """Whether somebody holds the place now."""
+        """Whether the place is held now."""
         lease = self._leases.get(place)
         return lease is not None and lease.expires > now
 
     def next_free(self, now: float) -> str | None:
-        """The first place without a live lease; places never held go first."""
+        """The first place without a live lease, preferring those never held."""
         free = [place for place in self.places if not self.live(place, now)]
         return min(free, key=lambda place: (place in self._leases, self.places.index(place)), default=None)
 
     def held_before_by(self, instance: str, key: str, holder: bytes, now: float) -> str | None:
-        """The place whose live lease this instance got over an earlier connection: it was started again."""
+        """The place this instance holds over an earlier connection."""
         own = (lease for lease in self.holders(now) if (lease.instance, lease.key) == (instance, key))
         return next((lease.place for lease in own if lease.holder != holder), None)
 
     def claim(self, place: str, holder: bytes, instance: str, endpoint: str, now: float, key: str = "") -> Lease | None:
-        """Lease a place; None while another instance's lease is live. The same instance starts a new epoch.
+        """Lease a place in a new epoch; None while another instance's lease is live.
 
-        With keys, who claims under the name of another key's instance is another instance.
+        With keys, an instance is identified by its name and its key.
         """
         old = self._leases.get(place)
         if old is not None and old.expires > now and (old.instance, old.key) != (instance, key):
@@ -80,7 +80,7 @@ class LeaseTable:
         return lease
 
     def renew(self, place: str, epoch: int, holder: bytes, now: float) -> bool:
-        """A heartbeat; False if the epoch or the holder is not the newest."""
+        """Renew a lease; False if its epoch or holder is not the newest."""
         lease = self._leases.get(place)
         if lease is None or lease.epoch != epoch or lease.holder != holder:
             return False
@@ -88,7 +88,7 @@ class LeaseTable:
         return True
 
     def release(self, place: str, epoch: int, holder: bytes) -> bool:
-        """Give a lease back; False if it was not the sender's."""
+        """Release a lease; False if it was not the sender's."""
         lease = self._leases.get(place)
         if lease is None or lease.epoch != epoch or lease.holder != holder:
             return False
@@ -96,7 +96,7 @@ class LeaseTable:
         return True
 
     def end(self, place: str) -> None:
-        """End a lease now, whoever holds it."""
+        """End a lease now, regardless of its holder."""
         lease = self._leases[place]
         self._leases[place] = replace(lease, expires=lease.heard, released=True)
 

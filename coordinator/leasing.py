@@ -1,4 +1,4 @@
-"""Claims, grants and the ends of leases, on sub-tasks and on the evaluator's place."""
+"""Claims, grants and ends of leases on sub-tasks and the evaluator role."""
 
 from __future__ import annotations
 
@@ -20,19 +20,12 @@ EVALUATOR = "evaluator"
 
 
 class Leasing:
-    """Decides who may learn each sub-task, and who evaluates.
-
-    Args:
-        task: the compiled task.
-        settings: of the run.
-        records: of all learners.
-        clock: of the run.
-        log: of the run.
+    """Decides which worker trains each sub-task, and which evaluates.
 
     Attributes:
         learners: leases on the sub-tasks.
-        evaluator: the lease on the evaluator's place.
-        stand_ins: which of the leases on that place are learners' workers'.
+        evaluator: the lease on the evaluator role.
+        stand_ins: the learners' workers that hold the evaluator role.
     """
 
     def __init__(
@@ -71,7 +64,7 @@ class Leasing:
         return self._grant(event, claim, lease)
 
     def _place(self, event: Received, claim: Claim, table: LeaseTable) -> str | None:
-        """What a claim is for: a sub-task by name or number, the one that its worker held before, or a free one."""
+        """The claimed sub-task by name or number, the one held before, or a free one."""
         if claim.role == "evaluator":
             return EVALUATOR
         if claim.pid is not None:
@@ -107,7 +100,7 @@ class Leasing:
         )
 
     def release(self, peer: bytes, release: Release) -> list[Action]:
-        """Take back a lease that its holder gives up."""
+        """Process a holder's release of its lease."""
         if self.stand_ins.release(release.pid, release.epoch, peer):
             return []
         tables = (self.learners, self.evaluator)
@@ -126,7 +119,7 @@ class Leasing:
         return logged
 
     def report_lost(self) -> list[Action]:
-        """Log each learner whose lease has run out, once."""
+        """Log each learner whose lease has expired, once."""
         logged: list[Action] = []
         for lease in self.learners.all():
             record = self._records[lease.place]
@@ -137,24 +130,24 @@ class Leasing:
         return logged
 
     def renew(self, peer: bytes, sync: Sync) -> bool:
-        """Extend a learner's lease; False if it holds none."""
+        """Renew a learner's lease; False if it holds none."""
         return self.learners.renew(sync.pid, sync.epoch, peer, self._clock.now)
 
     def report_back(self, pid: str) -> list[Action]:
-        """Log that a lost learner is heard again."""
+        """Log the return of a lost learner."""
         record = self._records[pid]
         was_lost, record.lost = record.lost, False
         return [self._log.add(f"{pid} heard again")] if was_lost else []
 
     def refuse_stale(self, event: Received, sync: Sync) -> list[Action]:
-        """The answer to a learner that speaks under a lease that it does not hold, or no longer."""
+        """Answer a learner whose lease is not, or no longer, its own."""
         lease = self.learners.get(sync.pid) if sync.pid in self.learners.places else None
         if lease is not None and lease.holder == event.peer and sync.epoch < lease.epoch:
-            return []  # sent before the grant of the newer epoch, which is on its way, arrived there
+            return []  # sent before the grant of the newer epoch arrived there
         return [_answer(event, stale_learner(sync, lease))]
 
     def peers_of(self, pid: str) -> dict[str, Peer]:
-        """Where the critics of the other learners with live leases answer."""
+        """The critic endpoints of all other learners with live leases."""
         return {
             lease.place: Peer(
                 endpoint=lease.endpoint,

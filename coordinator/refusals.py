@@ -1,4 +1,4 @@
-"""Why a claim is refused, and what to do about it."""
+"""Refused claims: the reason and what to do."""
 
 from __future__ import annotations
 
@@ -10,13 +10,13 @@ from t4nmtd_dist.wire.messages import Claim, Refused, Sync
 
 
 def unknown_pid(task: str, pid: str, pids: Sequence[str]) -> Refused:
-    """A task has no sub-task of this name or number."""
+    """The task has no sub-task with this name or number."""
     text = f"unknown pid {pid!r}; the sub-tasks of {task} are {names_with_numbers(pids)}"
     return Refused(reason="unknown pid", text=text, final=True, pid=pid)
 
 
 def live_lease(claim: Claim, place: str, lease: Lease | None, now: float) -> Refused:
-    """Another worker holds the place. A learner may give up then; an evaluator stands by."""
+    """Another worker holds the place. A learner may give up; an evaluator stands by."""
     holder = lease.instance if lease else "another worker"
     remaining = lease.expires - now if lease else 0.0
     number = f"{claim.pid} is {place}; " if claim.role == "learner" and claim.pid not in (None, place) else ""
@@ -27,16 +27,16 @@ def live_lease(claim: Claim, place: str, lease: Lease | None, now: float) -> Ref
 
 
 def stale_learner(sync: Sync, lease: Lease | None) -> Refused:
-    """A learner speaks under an epoch that is over, or that another connection holds; ``lease`` is the newest."""
+    """A learner's epoch is over, or another connection holds it; ``lease`` is the newest."""
     if lease is None:
         text = f"no lease on {sync.pid!r} is known here (the coordinator was started again); claim it again"
     else:
         text = f"epoch {sync.epoch} of {sync.pid} is over: {lease.instance} holds epoch {lease.epoch}"
-    final = lease is not None and sync.epoch != lease.epoch  # the same epoch: the same learner, connected anew
+    final = lease is not None and sync.epoch != lease.epoch  # same epoch: the same learner, reconnected
     return Refused(reason="stale epoch", text=text, final=final, pid=sync.pid)
 
 
 def stale_evaluator(place: str) -> Refused:
-    """An evaluator speaks under a lease that is over."""
+    """An evaluator's lease is over."""
     text = "this evaluator's place was taken by another, or the coordinator was started again"
     return Refused(reason="stale epoch", text=text, final=False, pid=place)

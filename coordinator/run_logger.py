@@ -1,4 +1,4 @@
-"""Writes what the coordinator's state machine says into the run directory."""
+"""Writes the state machine's actions into the run directory."""
 
 from __future__ import annotations
 
@@ -21,16 +21,13 @@ METRICS_EVERY_S = 5.0
 
 
 class RunLogger:
-    """Keeps events, metrics, the summary and the policy of a run.
+    """Writes a run's events, metrics, summary and policy.
 
     Args:
-        state: the coordinator's state.
-        run: where to write.
-        tensorboard: whether to write event files for TensorBoard, too.
-        tell: called with a line about what cannot be written: a full disk ends no training.
+        tell: logs failed writes; a full disk does not end training.
 
     Raises:
-        ConfigError: if event files were asked for and cannot be written.
+        ConfigError: if requested event files cannot be written.
     """
 
     def __init__(
@@ -45,7 +42,7 @@ class RunLogger:
         run.write_settings(state.task.config, settings.seed, settings.max_interactions)
 
     def record(self, action: Action) -> None:
-        """Write one action down, if it is of that kind."""
+        """Write an action, if it is one to record."""
         with self._telling():
             if isinstance(action, LogEvent):
                 self._run.log_event(action.elapsed_s, action.text)
@@ -57,7 +54,7 @@ class RunLogger:
 
     @contextmanager
     def _telling(self) -> Iterator[None]:
-        """Tell of what cannot be written, and go on without."""
+        """Report a failed write and continue."""
         try:
             yield
         except OSError as error:
@@ -84,7 +81,7 @@ class RunLogger:
             export_best(self._state, self._run.path / "policy")
 
     def metrics(self) -> None:
-        """Append every learner's counts, every few seconds."""
+        """Append every learner's counts every few seconds."""
         state = self._state
         if state.elapsed_s < self._metrics_due:
             return
@@ -115,7 +112,7 @@ class RunLogger:
         return self._state.outcome == "solved"
 
     def close(self) -> None:
-        """Write the counts down once more: learners went on until they heard of the end.
+        """Write the final counts, including those learners reported after the end.
 
         Raises:
             RunError: if the policy or the summary cannot be written.

@@ -1,4 +1,4 @@
-"""What a run adds to its task."""
+"""Settings of a run that are not part of its task."""
 
 from __future__ import annotations
 
@@ -7,11 +7,11 @@ from dataclasses import dataclass
 
 @dataclass(frozen=True)
 class RunSettings:
-    """What a run adds to its task.
+    """Settings of a run that are not part of its task.
 
     Attributes:
-        run_id: names the run, however often it is resumed, so that workers know which checkpoints are of it.
-        lease_s: seconds of silence after which a worker counts as lost.
+        run_id: identifies the run across resumes, so that workers recognise its checkpoints.
+        lease_s: seconds of silence until a worker is lost.
     """
 
     seed: int

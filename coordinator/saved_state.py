@@ -1,4 +1,4 @@
-"""The coordinator's state for checkpoints, and the few counts that are written down much more often."""
+"""The coordinator's checkpointed state, and its more often saved counts."""
 
 from __future__ import annotations
 
@@ -10,9 +10,9 @@ from t4nmtd_dist.wire.messages import EventLine, LearnerStats
 
 
 def saved_state(state: CoordinatorState) -> State:
-    """Everything but leases and an evaluation under way, of which a resumed run has new ones.
+    """Everything but leases and the pending evaluation, which a resumed run creates again.
 
-    Arrays of weights are the very ones that are held; they are replaced, never changed.
+    Weights are not copied: their arrays are replaced, never modified.
     """
     return {
         "high_level": state.method.entries(),
@@ -27,13 +27,13 @@ def saved_state(state: CoordinatorState) -> State:
 
 
 def load_saved_state(state: CoordinatorState, saved: State) -> None:
-    """Let a fresh coordinator of the same run go on from a ``saved_state``."""
+    """Restore a ``saved_state`` into a fresh coordinator of the same run."""
     state.method.load((q, pid, value) for q, pid, value in saved["high_level"])
     state.rng.bit_generator.state = saved["rng"]
     for pid, record in state.records.items():
         record.load_state_dict(saved["records"][pid])
     state.evaluations.load_state_dict(saved["evaluations"])
-    state.events.clear()  # in one process, leases are claimed before the state is loaded
+    state.events.clear()  # a serial run claims leases before it loads the state
     state.events.extend(msgspec.convert(saved["events"], list[EventLine]))
     state.snapshot = saved["snapshot"]
     _raise_clock(state, saved["counts"])
@@ -42,7 +42,7 @@ def load_saved_state(state: CoordinatorState, saved: State) -> None:
 
 
 def saved_counts(state: CoordinatorState) -> State:
-    """What must not be lost between two checkpoints: time, epochs, and what was spent."""
+    """What must survive between checkpoints: time, epochs, and learners' counts."""
     return {
         "elapsed_s": state.elapsed_s,
         "epochs": state.leases.epochs() | state.evaluator_lease.epochs(),
@@ -53,9 +53,9 @@ def saved_counts(state: CoordinatorState) -> State:
 
 
 def raise_counts(state: CoordinatorState, counts: State) -> None:
-    """Count also what was spent after the checkpoint that was loaded, if there was one.
+    """Include counts made since the loaded checkpoint, if there was one.
 
-    Evaluations after it are not known, so none before it counts towards those in a row.
+    Later evaluations are lost, so the count of consecutive successes restarts.
     """
     for pid, total in counts["totals"].items():
         if pid in state.records:

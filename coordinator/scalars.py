@@ -1,4 +1,4 @@
-"""What is drawn over the interactions while a run goes on: curves of the evaluations and of every learner."""
+"""TensorBoard scalars of evaluations and learners, over interactions."""
 
 from __future__ import annotations
 
@@ -8,13 +8,13 @@ from t4nmtd_dist.wire.statistics import scalars
 
 
 def evaluation_scalars(row: EvaluationRow) -> dict[str, float | None]:
-    """Success from 0 to 1, steps and validation reward of an evaluation: means over its episodes."""
+    """An evaluation's success rate (0 to 1), mean length in steps, and mean return."""
     return {"success_rate": row.success_rate, "mean_length": row.mean_length, "mean_return": row.mean_return}
 
 
 def learner_scalars(record: LearnerRecord) -> dict[str, float | None]:
-    """A learner's newest figures; None where there is none yet.
+    """A learner's newest values; None where there is none yet.
 
-    Rates are over the last ten seconds; sums and ratios are over the whole run.
+    Rates cover the last ten seconds; sums and ratios the whole run.
     """
     return scalars(record.total, record.rates())

@@ -34,19 +34,18 @@ TICK_S = 0.1
 PUBLISH_S = 0.2
 FAREWELL_S = 1.5
 HURRIED_FAREWELL_S = 4.0
-LONGEST_FAREWELL_S = 12.0  # a learner hears of the end after a turn, which may take long; `t4nmtd train` waits 15 s
+LONGEST_FAREWELL_S = 12.0  # a learner hears of the end only after a turn; `t4nmtd train` waits 15 s
 
 
 @dataclass(frozen=True)
 class RunStorage:
-    """Where a run is kept, and how.
+    """Storage settings of a run.
 
     Attributes:
-        directory: the run directory; made only once the endpoints are taken.
-        restart: delete a run that the directory holds.
-        resume: go on with the run that the directory holds.
-        checkpoint_every_s: seconds between two checkpoints.
-        tensorboard: whether to write event files for TensorBoard, too.
+        directory: the run directory; created once the endpoints are bound.
+        restart: delete the run in the directory.
+        resume: continue the run in the directory.
+        checkpoint_every_s: checkpoint interval in seconds.
     """
 
     directory: Path
@@ -57,13 +56,11 @@ class RunStorage:
 
 
 class CoordinatorService:
-    """Receives messages, feeds the state machine, carries out its actions, and publishes its state.
+    """Receives messages, drives the state machine, executes its actions, and publishes its state.
 
     Args:
-        state: the state machine; for a resume a fresh one of the run that the directory holds.
-        storage: where the run is kept.
-        access: where workers connect, where the state is published, and for whom.
-        by_hand: whether people start the workers, and need the commands.
+        state: the state machine; on resume, a fresh one for the stored run.
+        by_hand: whether users start the workers.
 
     Raises:
         ConfigError: if an endpoint cannot be used.
@@ -93,7 +90,7 @@ class CoordinatorService:
         self._open_run(storage)
 
     def _open_run(self, storage: RunStorage) -> None:
-        """Load what a resumed run has kept, and begin to write."""
+        """Restore a resumed run, and begin to write."""
         resumed = self._resume() if storage.resume else ""
         write_identity(self._run.path, Identity(self.state.settings.run_id, serial=False))
         self._checkpointing = StateCheckpointing(
@@ -105,21 +102,21 @@ class CoordinatorService:
             self._feed(LogRequest(time.monotonic(), resumed))
 
     def _resume(self) -> str:
-        """Load what the run has kept; what that was, in words."""
+        """Restore the stored run; returns a line naming the source."""
         resumed = resume_state(self.state, self._run.checkpoints, self._lines.put)
         self._run.mend(self.state.elapsed_s)
         return resumed
 
     def interrupt(self, reason: str) -> None:
-        """Ask the loop to end the run, a second time to hurry; callable from a signal handler or another thread."""
+        """End the run, or hurry if called again; safe from signal handlers and threads."""
         if self._interrupted or self._over.is_set():
             self._impatient = True
         self._interrupted = True
         self._interrupt = reason
 
     def serve(self) -> None:
-        """Run until the state machine finishes; for a moment longer, answer everyone that the run is over."""
-        if self.state.outcome is not None:  # solved before the resume, and not written down
+        """Run until the state machine finishes, then briefly announce the end."""
+        if self.state.outcome is not None:  # solved before the resume, but without a result
             self._logger.record(Finish(self.state.outcome, "before it was resumed"))
             self._over.set()
         try:
@@ -131,7 +128,7 @@ class CoordinatorService:
             self._run.unlock()
 
     def _say_farewell(self) -> None:
-        """Tell everyone that the run is over, take the learners' last reports, and write the result."""
+        """Announce the end, receive last reports, and write the result."""
         began = time.monotonic()
         while time.monotonic() < began + self._farewell_s():
             self._turn()
@@ -156,7 +153,7 @@ class CoordinatorService:
             self._feed(LogRequest(time.monotonic(), self._lines.get()))
 
     def _farewell_s(self) -> float:
-        """Seconds to wait for last reports: longer while learners are at work, unless the user is in a hurry."""
+        """Seconds to wait for last reports, by active learners and the user's hurry."""
         if not self.state.leases.holders(time.monotonic()):
             return FAREWELL_S
         return HURRIED_FAREWELL_S if self._impatient else LONGEST_FAREWELL_S
@@ -214,7 +211,7 @@ class CoordinatorService:
 
     @contextmanager
     def _answered(self, peer: bytes, question: Envelope) -> Iterator[None]:
-        """If handling a message fails, log it and answer its sender, then go on with the others."""
+        """Log a failure to handle a message, and answer its sender."""
         what = f"taking {type(question.message).__name__} of {question.sender or 'a client'}"
         with self._errors.guard(what) as caught:
             yield

@@ -1,4 +1,4 @@
-"""The coordinator's full state as dashboards see it, and the run's summary."""
+"""The coordinator's state for dashboards, and the run's summary."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ EVALUATIONS_SHOWN = 200
 
 
 def dashboard_state(state: CoordinatorState, commands: WorkerCommands | None = None) -> DashboardState:
-    """Everything a dashboard draws; ``commands`` bring what is missing, None where a launcher does that."""
+    """Everything a dashboard draws; ``commands`` start missing workers, None if a launcher does."""
     task = state.task
     return DashboardState(
         task=task.config.name,
@@ -58,7 +58,7 @@ def dashboard_state(state: CoordinatorState, commands: WorkerCommands | None = N
 
 
 def status(state: CoordinatorState, clock: float, commands: WorkerCommands | None = None) -> Status:
-    """The answer to ``t4nmtd status``; ``clock`` in seconds of Unix time, ``commands`` as above."""
+    """The reply to ``t4nmtd status``; ``clock`` is Unix time in seconds, ``commands`` as for ``dashboard_state``."""
     history = state.evaluations.history
     evaluator = state.stand_ins.evaluator(state.clock.now)
     return Status(
@@ -90,7 +90,7 @@ def _kept(state: CoordinatorState) -> EvaluationRow | None:
 
 
 def missing(state: CoordinatorState, commands: WorkerCommands | None) -> list[Missing]:
-    """Sub-tasks without a worker, and the evaluator if there is none, with the commands that bring them."""
+    """Missing workers with the commands that start them."""
     if commands is None or state.outcome is not None:
         return []
     alone = [pid for pid in state.records if not state.leases.live(pid, state.clock.now)]
@@ -133,13 +133,13 @@ def _q_cells(state: CoordinatorState) -> list[QCell]:
 
 
 def thinned(history: list[EvaluationRow], most: int) -> list[EvaluationRow]:
-    """At most ``most`` rows, evenly spread, the newest always among them."""
+    """At most ``most`` evenly spaced rows, always including the newest."""
     stride = max(1, math.ceil(len(history) / most))
     return history[::-1][::stride][::-1]
 
 
 def summary(state: CoordinatorState) -> dict[str, Any]:
-    """What ``summary.json`` holds once a run is over."""
+    """The content of ``summary.json``, final once the run is over."""
     evaluations = state.evaluations
     last = evaluations.history[-1] if evaluations.history else None
     counts = reduce(added, (record.total.intervention for record in state.records.values()), Intervention())
@@ -180,7 +180,7 @@ def summary(state: CoordinatorState) -> dict[str, Any]:
 
 
 def _policy_summary(row: EvaluationRow | None) -> dict[str, Any] | None:
-    """What is told of the policy that is kept."""
+    """The summary of the best policy."""
     if row is None:
         return None
     return {

@@ -1,4 +1,4 @@
-"""When learners' workers may evaluate because no evaluator does, and which leases of its place are theirs."""
+"""Lets learners' workers stand in for a missing evaluator."""
 
 from __future__ import annotations
 
@@ -8,16 +8,15 @@ STAND_IN_AFTER_S = 10.0
 
 
 class StandIns:
-    """Learners' workers that evaluate between their turns, each for one evaluation at a time.
+    """Learners' workers that evaluate between their turns.
 
-    They are invited after ``STAND_IN_AFTER_S`` without an evaluator: one that starts together with the learners, or is
-    started again after a crash, is there before.
+    They are invited after ``STAND_IN_AFTER_S`` seconds without an evaluator, so that one has time to start or restart.
 
     Args:
-        table: the leases on the evaluator's place.
+        table: the leases on the evaluator role.
 
     Attributes:
-        epoch: of the newest stand-in's lease, 0 before the first.
+        epoch: of the newest stand-in's lease; 0 before the first.
     """
 
     def __init__(self, table: LeaseTable) -> None:
@@ -28,12 +27,12 @@ class StandIns:
         self._logged = False
 
     def evaluator(self, now: float) -> Lease | None:
-        """The live lease of an evaluator that is not a stand-in."""
+        """The live lease of a proper evaluator."""
         lease = self._table.get(self._place)
         return None if lease is None or lease.expires <= now or self._is_stand_in(lease) else lease
 
     def wanted(self, now: float) -> bool:
-        """Whether to invite a stand-in now; to be asked whenever a learner of a training run is heard."""
+        """Whether to invite a stand-in now; call on every learner's heartbeat."""
         if self.evaluator(now) is not None:
             self._alone_since, self._logged = None, False
             return False
@@ -42,18 +41,18 @@ class StandIns:
         return not self._table.live(self._place, now) and now - self._alone_since >= STAND_IN_AFTER_S
 
     def begin(self, lease: Lease) -> str:
-        """Note a stand-in's lease; the line to log: only the first without an evaluator is news."""
+        """Register a stand-in's lease; returns a line to log for the first, else ""."""
         self.epoch = lease.epoch
         logged, self._logged = self._logged, True
         return "" if logged else "no evaluator: the learners' workers evaluate between their turns"
 
     def yield_to_evaluator(self) -> None:
-        """End a stand-in's lease, for an evaluator that claims the place."""
+        """End a stand-in's lease because an evaluator claims the role."""
         if self._is_stand_in(self._table.get(self._place)):
             self._table.end(self._place)
 
     def release(self, place: str, epoch: int, holder: bytes) -> bool:
-        """A stand-in gives the place back; False if it was not one."""
+        """Release a stand-in's lease; False if it was not one."""
         lease = self._table.get(self._place)
         return place == self._place and self._is_stand_in(lease) and self._table.release(place, epoch, holder)
 

@@ -65,19 +65,15 @@ STARTS_PER_REPLY = 256
 
 
 class CoordinatorState:
-    """Owns the task, the Q table, the initial-state buffers, the leases, the newest weights and the counters.
-
-    Args:
-        task: the compiled task.
-        settings: the run's own settings.
+    """Owns the task, the Q-table, the initial-state buffers, the leases, the newest weights and the counters.
 
     Attributes:
         method: the rules of the method, with the table Q(q, sub-task).
-        records: what is known of each learner, by pid; each has its sub-task's initial-state buffer.
+        records: of each learner by pid, with its sub-task's initial-state buffer.
         leases: on the sub-tasks.
-        evaluator_lease: on the evaluator's place.
-        snapshot: a start state, if one has come: all of a run have the same type and size.
-        outcome: how the run ended; None while it lasts.
+        evaluator_lease: on the evaluator role.
+        snapshot: a received start state, if any: all of a run have the same dtype and size.
+        outcome: how the run ended; None while it is running.
     """
 
     def __init__(self, task: CompiledTask, settings: RunSettings) -> None:
@@ -104,7 +100,7 @@ class CoordinatorState:
 
     @property
     def elapsed_s(self) -> float:
-        """Seconds from the first event to the end of the run, those before a resume included."""
+        """Seconds from the first event to the end of the run, plus those before a resume."""
         return self.clock.elapsed_s
 
     @property
@@ -114,18 +110,18 @@ class CoordinatorState:
 
     @property
     def learners_s(self) -> float:
-        """Processor time of all learners."""
+        """CPU time of all learners in seconds."""
         return processor_s(self.records)
 
     @property
     def phase(self) -> RunPhase:
-        """Where the run stands."""
+        """The current phase of the run."""
         if self.outcome is not None:
             return self.outcome
         return "training" if self.interactions else "starting"
 
     def handle(self, event: Event) -> list[Action]:
-        """Take one event; the actions are to be carried out in order."""
+        """Process one event; returns the actions to execute in order."""
         self.clock.advance(event.now)
         if self.outcome is not None:
             self.clock.stop()
@@ -163,7 +159,7 @@ class CoordinatorState:
         raise ProtocolError(f"the coordinator does not take {type(message).__name__} messages")
 
     def _receive_late(self, event: Received, outcome: Outcome) -> list[Action]:
-        """The run is over; what learners did until they learned so still counts."""
+        """Process a message after the end: learners' last work still counts."""
         message = event.envelope.message
         actions: list[Action] = []
         if isinstance(message, Sync) and self._leasing.renew(event.peer, message):
@@ -175,7 +171,7 @@ class CoordinatorState:
     # Algorithm 1
 
     def _sync(self, event: Received, sync: Sync) -> list[Action]:
-        """One turn of a learner: take in what it did, answer with what is new for it."""
+        """Apply a learner's progress and reply."""
         if not self._leasing.renew(event.peer, sync):
             return self._leasing.refuse_stale(event, sync)
         actions = self._accept(sync, event.envelope.arrays)
@@ -188,7 +184,7 @@ class CoordinatorState:
         return actions
 
     def _accept(self, sync: Sync, arrays: Mapping[str, NDArray[Any]]) -> list[Action]:
-        """Apply a batch of progress once, and keep newer weights; lines about what cannot be used."""
+        """Apply a batch of progress once and store newer weights; returns log lines."""
         progress = unpack_progress(arrays, self.task.dfa.states, self.snapshot)
         record = self.records[sync.pid]
         actions: list[Action] = []
@@ -208,7 +204,7 @@ class CoordinatorState:
         )
 
     def _hand_over(self, pid: str, starts: Sequence[Start]) -> None:
-        """Store each state <s, q> in the initial-state buffers of those who go on from it: for T4NMTD, E(Q, q)."""
+        """Add each state <s, q> to the initial-state buffers of sub-tasks that start there: for T4NMTD, E(Q, q)."""
         for q, state in starts:
             self.snapshot = state
             if q in self.task.terminal:
@@ -217,7 +213,7 @@ class CoordinatorState:
                 self.records[receiver].buffer.add(q, state)
 
     def _reply(self, event: Received, sync: Sync) -> Send:
-        """The Q table, the peers, and the start states that the learner has not got yet."""
+        """The Q-table, the peers, and the start states new to the learner."""
         record = self.records[sync.pid]
         size = 1 if self.snapshot is None else self.snapshot.nbytes
         fresh = record.buffer.since(sync.start_cursor, most_starts(STARTS_PER_REPLY, size))
@@ -233,7 +229,7 @@ class CoordinatorState:
         return Send(event.peer, reply, pack_starts([(q, state) for _, q, state in fresh]), event.envelope.id)
 
     def _complain(self, pid: str, trouble: str) -> list[Action]:
-        """Log trouble with what a learner sent, once for each of its leases."""
+        """Log invalid data from a learner, once per lease."""
         record = self.records[pid]
         if not trouble or record.complained:
             return []
@@ -265,10 +261,10 @@ class CoordinatorState:
     # For tests
 
     def validate(self) -> None:
-        """Check what must hold between any two events; tests do so after each.
+        """Check all invariants; tests call this after every event.
 
         Raises:
-            InvariantError: if it does not hold.
+            InvariantError: if one is violated.
         """
         now, epochs = self.clock.now, self.leases.epochs() | self.evaluator_lease.epochs()
         check_leases(self.leases, now)

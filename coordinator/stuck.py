@@ -1,4 +1,4 @@
-"""Learners that reach no target: what is known of why, and which settings to try. A hint, not an alarm."""
+"""Diagnoses learners that reach no target: likely causes and settings to try."""
 
 from __future__ import annotations
 
@@ -20,13 +20,7 @@ Records = Mapping[str, LearnerRecord]
 
 
 def stuck_lines(pid: str, records: Records, task: CompiledTask) -> list[str]:
-    """Lines about a learner that is stuck: what happens, likely causes, settings to try; none if it is not.
-
-    Args:
-        pid: the sub-task.
-        records: of all learners.
-        task: the compiled task.
-    """
+    """Symptoms, likely causes and settings to try for a stuck learner, else nothing."""
     stats = records[pid].total
     if _waits(pid, stats, records, task):
         return [f"{pid}: {line}" for line in _waiting(pid, records, task)]
@@ -38,7 +32,7 @@ def stuck_lines(pid: str, records: Records, task: CompiledTask) -> list[str]:
 
 
 def _waits(pid: str, stats: LearnerStats, records: Records, task: CompiledTask) -> bool:
-    """Whether it has never had a start state, while others have done much."""
+    """Whether it never had a start state, long into the run."""
     if stats.interactions or len(records[pid].buffer) or pid in task.decomposition.available(task.dfa.initial):
         return False
     return _interactions(records) >= MANY_INTERACTIONS
@@ -84,7 +78,7 @@ def _strayed(stats: LearnerStats) -> int:
 
 
 def _advice(stats: LearnerStats, task: CompiledTask) -> list[str]:
-    """Likely causes, and settings to try, by how most attempts end."""
+    """Likely causes and settings to try, by most attempts' ending."""
     learner = task.config.learner
     explore = " or ".join(agent_settings(learner.algorithm).exploration)
     ends = {
@@ -118,7 +112,7 @@ def _advice(stats: LearnerStats, task: CompiledTask) -> list[str]:
 
 
 class StuckDetector:
-    """Reports each stuck learner to the event log at once, and again every ten minutes."""
+    """Reports each stuck learner to the event log at once, then every ten minutes."""
 
     def __init__(self) -> None:
         self._look_at: dict[str, float] = {}
@@ -130,7 +124,7 @@ class StuckDetector:
             pid: the sub-task.
             records: of all learners.
             task: the compiled task.
-            elapsed_s: seconds since the run began.
+            elapsed_s: seconds since the start of the run.
         """
         if elapsed_s < self._look_at.get(pid, 0.0):
             return []

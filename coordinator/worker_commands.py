@@ -1,4 +1,4 @@
-"""The commands that start the workers of a coordinator, as one types them into a shell on its machine."""
+"""Shell commands that start a coordinator's workers on its machine."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from t4nmtd_dist.core.errors import ConfigError
 from t4nmtd_dist.wire.addresses import EVERYWHERE, LOOPBACK, address_towards, split_endpoint
 from t4nmtd_dist.wire.endpoints import DEFAULT_CONTROL
 
-ELSEWHERE = "tcp://192.0.2.1:9"  # an address for documentation (RFC 5737), to look up the way out; nothing is sent
+ELSEWHERE = "tcp://192.0.2.1:9"  # a documentation address (RFC 5737), to look up the route; nothing is sent
 
 
 class WorkerCommands:
@@ -19,8 +19,8 @@ class WorkerCommands:
 
     Args:
         pids: the sub-tasks.
-        control: endpoint on which the coordinator hears workers.
-        keys: the coordinator's key folder, with which workers on its own machine can connect, too.
+        control: the coordinator's control endpoint.
+        keys: the coordinator's key folder, which local workers can use too.
     """
 
     def __init__(self, pids: Sequence[str], control: str, keys: Path | None = None) -> None:
@@ -31,7 +31,7 @@ class WorkerCommands:
         self._where += [] if keys is None else ["--keys", str(keys.absolute())]
 
     def learner(self, pid: str) -> str:
-        """The command for a sub-task, by its number if it has one."""
+        """The command for a sub-task, by number if it has one."""
         return shlex.join(["t4nmtd-worker", "--pid", self._numbers.get(pid, pid), *self._where])
 
     def evaluator(self) -> str:
@@ -39,7 +39,7 @@ class WorkerCommands:
         return shlex.join(["t4nmtd-worker", "--evaluate", *self._where])
 
     def welcome(self, task: str) -> str:
-        """What a coordinator of the task says first: what it waits for."""
+        """The coordinator's first message: the workers to start."""
         commands = [self.learner(pid) for pid in self._pids]
         width = max(len(command) for command in commands)
         lines = [f"  {command:<{width}}  # {pid}" for command, pid in zip(commands, self._pids, strict=True)]
@@ -50,7 +50,7 @@ class WorkerCommands:
 
 
 def _reachable(control: str) -> str:
-    """An endpoint for workers: of one that is bound to all addresses, the one that other machines use."""
+    """An endpoint for workers on other machines."""
     host, port = split_endpoint(control)
     if host not in EVERYWHERE:
         return control

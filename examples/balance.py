@@ -1,4 +1,4 @@
-"""A safety task: Gymnasium's pole must not fall, and its cart not leave the right half of the track."""
+"""A safety task: CartPole's pole must not fall, and its cart not leave the right half of the track."""
 
 from __future__ import annotations
 
@@ -12,12 +12,12 @@ LEFT, TRACK, UPRIGHT = -0.5, 2.4, 0.2095  # metres, metres, radians
 
 
 def make(render_mode: str | None = None) -> gymnasium.Env[Any, Any]:
-    """Cart and pole without the registered time limit, which the task's horizon replaces."""
+    """CartPole without its registered time limit, which the task's horizon replaces."""
     return gymnasium.make("CartPole-v1", render_mode=render_mode).unwrapped
 
 
 def labels(observation: NDArray[np.float32], info: dict[str, Any]) -> set[str]:
-    """Which of ``fallen`` and ``left`` hold after a step."""
+    """The labels ``fallen`` and ``left`` after a step."""
     place, _, angle, _ = map(float, observation)
     found = {"fallen": abs(angle) > UPRIGHT or abs(place) > TRACK, "left": place < LEFT}
     return {name for name, holds in found.items() if holds}

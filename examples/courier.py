@@ -1,4 +1,4 @@
-"""An environment with random resets: a courier, a parcel, a door and a puddle, each on its own cell every episode."""
+"""A grid with random resets: a courier, a parcel, a door and a puddle on new cells every episode."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ MOVES = np.array([(0, 1), (1, 0), (0, -1), (-1, 0)])
 
 
 class Courier(gymnasium.Env[NDArray[np.int64], int]):
-    """Sees how many rows and columns away everything lies, and its own cell: numbers that learn best as one-hot."""
+    """Observes the row and column offsets of all objects, and the courier's cell: integers best encoded one-hot."""
 
     def __init__(self) -> None:
         offsets, cell = [2 * SIDE - 1] * 6, [SIDE] * 2
@@ -22,14 +22,14 @@ class Courier(gymnasium.Env[NDArray[np.int64], int]):
         self.cells = np.zeros((4, 2), np.int64)  # courier, parcel, door, puddle: row and column
 
     def reset(self, *, seed: int | None = None, options: Any = None) -> tuple[NDArray[np.int64], dict[str, Any]]:
-        """Put all four on different cells."""
+        """Place all four on different cells."""
         super().reset(seed=seed)
         chosen = self.np_random.choice(SIDE * SIDE, 4, replace=False)
         self.cells = np.stack([chosen // SIDE, chosen % SIDE], axis=1)
         return self._seen(), self._info()
 
     def step(self, action: int) -> tuple[NDArray[np.int64], float, bool, bool, dict[str, Any]]:
-        """Go one cell; walls hold."""
+        """Move one cell; walls block."""
         self.cells[0] = np.clip(self.cells[0] + MOVES[action], 0, SIDE - 1)
         return self._seen(), 0.0, False, False, self._info()
 

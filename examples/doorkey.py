@@ -1,4 +1,4 @@
-"""MiniGrid's DoorKey: fetch the key, open the door with it, and get to the goal, in a new room every time."""
+"""MiniGrid's DoorKey: fetch the key, open the door, and reach the goal, in a new room every episode."""
 
 from __future__ import annotations
 
@@ -12,15 +12,15 @@ ROOM = "MiniGrid-DoorKey-5x5-v0"
 
 
 class Labelled(gymnasium.Wrapper[Any, Any, Any, Any]):
-    """Reports what has been achieved, and can be put back into an earlier state."""
+    """Adds labels, and saves and restores the state."""
 
     def reset(self, **options: Any) -> tuple[Any, dict[str, Any]]:
-        """A new room."""
+        """Create a new room."""
         observation, info = self.env.reset(**options)
         return observation, {**info, "labels": set()}
 
     def step(self, action: int) -> tuple[Any, float, bool, bool, dict[str, Any]]:
-        """Act; ``goal`` is what terminates the environment."""
+        """Act; the environment terminates at ``goal``."""
         observation, reward, terminated, _, info = self.env.step(action)
         room: Any = self.env.unwrapped
         found = {"key": room.carrying is not None, "door": self._door_is_open(), "goal": terminated}
@@ -32,13 +32,13 @@ class Labelled(gymnasium.Wrapper[Any, Any, Any, Any]):
         )
 
     def get_state(self) -> Any:
-        """The grid as numbers, and what is not in it."""
+        """The encoded grid, and the state outside it."""
         room: Any = self.env.unwrapped
         carried = "" if room.carrying is None else room.carrying.color
         return room.grid.encode(), tuple(map(int, room.agent_pos)), int(room.agent_dir), carried
 
     def set_state(self, state: Any) -> None:
-        """Back to what ``get_state`` gave."""
+        """Restore a state from ``get_state``."""
         room: Any = self.env.unwrapped
         encoded, room.agent_pos, room.agent_dir, carried = state
         room.grid, _ = Grid.decode(encoded)

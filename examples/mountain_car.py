@@ -1,7 +1,7 @@
-"""An environment and a labelling function of one's own: the mountain car, up both hills and never into the wall.
+"""A custom environment and labelling function for Gymnasium's mountain car.
 
-The car must first back up the left hill, and then reach the flag on the right one, without ever touching the wall
-at the far left. ``mountain_car.toml`` beside this file is the task; docs/own-task.md walks through both.
+The car must climb the left hill, then reach the flag on the right one, and never touch the wall at the far left.
+``mountain_car.toml`` beside this file is the task; docs/own-task.md explains both.
 """
 
 from __future__ import annotations
@@ -17,13 +17,13 @@ LEFT_HILL, FLAG, WALL = -0.9, 0.5, -1.2
 
 
 class HeldActions(gymnasium.Wrapper[NDArray[np.float32], int, NDArray[np.float32], int]):
-    """Every action lasts some steps, so that random actions get somewhere.
+    """Repeats every action for several steps, so that random actions make progress.
 
-    ``info["leftmost"]`` is the leftmost place that the car touched during them: a wall is not missed in between.
+    ``info["leftmost"]`` is the car's leftmost position during them, so that no contact with the wall is missed.
     """
 
     def step(self, action: int) -> tuple[NDArray[np.float32], float, bool, bool, dict[str, Any]]:
-        """Hold the action for ``STEPS_PER_ACTION`` steps, or until the episode ends."""
+        """Repeat the action for ``STEPS_PER_ACTION`` steps, or until the episode ends."""
         leftmost, total = np.inf, 0.0
         for _ in range(STEPS_PER_ACTION):
             observation, reward, terminated, truncated, info = self.env.step(action)
@@ -47,7 +47,7 @@ def labels(observation: NDArray[np.float32], info: dict[str, Any]) -> set[str]:
 
 
 def play(path: str) -> bool:
-    """Play one episode with the policy in ``path`` (a run, or an exported policy); whether the task was solved."""
+    """Play one episode with the policy in ``path`` (a run or exported policy); returns whether it solved the task."""
     from t4nmtd_dist.policy import load
 
     policy, env = load(path), make()

@@ -1,6 +1,6 @@
 """A task without a task file: walk to the left end of a corridor, then to the right one.
 
-``python examples/python_api.py`` trains it in about twenty seconds. The same lines work in a notebook cell.
+``python examples/python_api.py`` trains it in about twenty seconds. The code also works in a notebook.
 """
 
 from __future__ import annotations
@@ -18,19 +18,19 @@ END = 6
 
 
 class Corridor(gymnasium.Env[NDArray[np.float32], np.int64]):
-    """Thirteen places in a row; actions 0 and 1 walk left and right."""
+    """Thirteen cells in a row; actions 0 and 1 move left and right."""
 
     observation_space = gymnasium.spaces.Box(-1, 1, (1,), np.float32)
     action_space = gymnasium.spaces.Discrete(2)
 
     def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> Any:
-        """Begin in the middle."""
+        """Start in the middle."""
         super().reset(seed=seed)
         self.place = 0
         return self._observation(), {}
 
     def step(self, action: np.int64) -> Any:
-        """Walk one place, if there is one."""
+        """Move one cell, if there is one."""
         self.place = int(np.clip(self.place + (1 if action else -1), -END, END))
         return self._observation(), 0.0, False, False, {}
 
@@ -39,12 +39,12 @@ class Corridor(gymnasium.Env[NDArray[np.float32], np.int64]):
 
 
 def labels(observation: NDArray[np.float32], info: dict[str, Any]) -> set[str]:
-    """Which ends are reached."""
+    """The end that is reached, if any."""
     return {name for name, end in (("left", -1), ("right", 1)) if observation[0] == end}
 
 
 def main(run_dir: str | None = None) -> TrainingResult:
-    """Train, and walk once with the policy."""
+    """Train, then walk once with the policy."""
     settings = {"evaluation.every": 2000, "learner.attempt_steps": 40}
     task = Task("F(left & X(F(right)))", Corridor, labels=labels, horizon=60, name="corridor", settings=settings)
     result = train(task, run_dir=run_dir)

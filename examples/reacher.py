@@ -1,4 +1,4 @@
-"""A continuous task: MuJoCo's two-joint arm visits three regions in order. The arm starts anywhere near rest."""
+"""A continuous task: MuJoCo's two-joint arm visits three regions in order."""
 
 from __future__ import annotations
 
@@ -13,14 +13,14 @@ RADIUS = 0.06
 
 
 class Fingertip(gymnasium.Wrapper[NDArray[np.float64], NDArray[np.float32], NDArray[np.float64], NDArray[np.float32]]):
-    """Sees joints and fingertip instead of the registered task's target, and reports the regions that it is in."""
+    """Observes joints and fingertip instead of the registered target, and labels the regions the fingertip is in."""
 
     def __init__(self, env: gymnasium.Env[Any, Any]) -> None:
         super().__init__(env)
         self.observation_space = gymnasium.spaces.Box(-10, 10, (8,))
 
     def reset(self, **options: Any) -> tuple[NDArray[np.float64], dict[str, Any]]:
-        """Begin with random joint angles."""
+        """Start with random joint angles."""
         self.env.reset(**options)
         arm: Any = self.env.unwrapped
         angles = np.concatenate([arm.np_random.uniform(-np.pi, np.pi, 1), arm.np_random.uniform(-2, 2, 1), [0.0, 0.0]])
@@ -28,7 +28,7 @@ class Fingertip(gymnasium.Wrapper[NDArray[np.float64], NDArray[np.float32], NDAr
         return self._seen(), {"labels": set()}
 
     def step(self, action: NDArray[np.float32]) -> tuple[NDArray[np.float64], float, bool, bool, dict[str, Any]]:
-        """Act, and say which regions the fingertip is in."""
+        """Act, and label the fingertip's regions."""
         _, reward, terminated, truncated, info = self.env.step(action)
         tip = self._tip()
         inside = {name for name, centre in REGIONS.items() if np.hypot(*(tip - centre)) < RADIUS}

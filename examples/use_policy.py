@@ -1,4 +1,4 @@
-"""A trained policy in a program of your own: ``python examples/use_policy.py runs/task7/latest``."""
+"""Using a trained policy in a program: ``python examples/use_policy.py runs/task7/latest``."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from t4nmtd_dist.policy import load
 
 
 def play(path: str) -> bool:
-    """Play one episode with the policy in ``path`` (a run, or an exported policy); whether the task was solved."""
+    """Play one episode with the policy in ``path`` (a run or exported policy); returns whether it solved the task."""
     policy = load(path)
     env = gymnasium.make("envs:t4nmtd/FrozenLake-v0", goals=1, max_episode_steps=200)
     observation, info = env.reset()

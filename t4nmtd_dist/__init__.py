@@ -1,6 +1,6 @@
 """T4NMTD: transition-centric reinforcement learning for non-Markovian tasks, distributed.
 
-``Task``, ``train`` and ``load`` are all that a program needs; they are imported when they are first used.
+``Task``, ``train`` and ``load`` are the public API, imported on first use.
 """
 
 from __future__ import annotations

@@ -1,1 +1,1 @@
-"""The workers: learners of sub-tasks, their critic services, and the evaluator."""
+"""The workers: learners, their critic services, and the evaluator."""

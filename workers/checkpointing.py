@@ -1,4 +1,4 @@
-"""When what learners hold goes to disk, and how a learner goes on from there."""
+"""Writes and restores learner checkpoints."""
 
 from __future__ import annotations
 
@@ -21,16 +21,16 @@ from t4nmtd_dist.wire.messages import Granted
 if TYPE_CHECKING:
     from workers.learner_session import LearnerSession
 
-UNANSWERED_S = 10.0  # after which a checkpoint is written without the coordinator's answer: it may be away
+UNANSWERED_S = 10.0  # after which a checkpoint is written without the coordinator's answer
 
 
 @dataclass(frozen=True)
 class _Held:
-    """A checkpoint that waits for the coordinator to have counted what it holds.
+    """A checkpoint held back until the coordinator has counted its content.
 
     Attributes:
-        message: the message that told the coordinator all that the checkpoint holds.
-        until: when to wait no longer.
+        message: the message that reported all of its content.
+        until: when to stop waiting.
     """
 
     session: LearnerSession
@@ -41,16 +41,16 @@ class _Held:
 
 
 class LearnerCheckpoints:
-    """Checkpoints of the learners of one worker.
+    """Checkpoints of one worker's learners.
 
-    A learner that goes on from a checkpoint tells nothing again of what it holds. So it is written only once the
-    coordinator has counted that: else it would be counted never if the worker is killed before it is told.
+    A resumed learner does not report again what its checkpoint holds. A checkpoint is therefore written only after the
+    coordinator has counted its content; otherwise killing the worker could lose those counts.
 
     Args:
-        checkpoints: ``checkpoints/`` of a run directory, which holds a folder for every sub-task; or any other folder,
-            which holds a folder for every run, so that runs do not delete what others need.
-        every_s: seconds between two checkpoints of a learner.
-        say: called with a line about every checkpoint, from another thread, too.
+        checkpoints: ``checkpoints/`` of a run directory, with a folder per sub-task; any other folder gets a subfolder
+            per run, to keep runs apart.
+        every_s: checkpoint interval of a learner in seconds.
+        say: logs every checkpoint, possibly from another thread.
     """
 
     def __init__(self, checkpoints: Path, every_s: float, say: Warn) -> None:
@@ -60,7 +60,11 @@ class LearnerCheckpoints:
         self._held: _Held | None = None
 
     def resume(self, session: LearnerSession, granted: Granted, arrays: Mapping[str, NDArray[Any]]) -> None:
-        """Let a fresh session go on from the newest checkpoint of its sub-task in this run, if there is one."""
+        """Restore a fresh session from its sub-task's newest checkpoint of this run, if any.
+
+        Raises:
+            RunError: if the checkpoint does not fit.
+        """
         self._due[session.pid] = time.monotonic() + self._every_s
         wanted = (granted.run_id, granted.pid)
         folder = self._folder(session)
@@ -76,9 +80,9 @@ class LearnerCheckpoints:
         self._say(f"{granted.pid} goes on from {found.path} with {len(session.buffer)} start states")
 
     def write_due(self, sessions: Collection[LearnerSession]) -> None:
-        """Begin to write the checkpoint that is due, if any; the work goes on meanwhile.
+        """Begin to write a due checkpoint.
 
-        To be called right after messages to the coordinator, when these hold all that was done.
+        Call this right after sending messages to the coordinator, when they cover all work done.
         """
         now = time.monotonic()
         if self._writer.busy:
@@ -98,7 +102,7 @@ class LearnerCheckpoints:
         self._held = _Held(session, session.newest_message, until, _about(session), copied(session.state_dict()))
 
     def _write_held(self, held: _Held, sessions: Collection[LearnerSession], now: float) -> None:
-        """Begin to write what is held if it was counted; a learner that has ended here has no say any more."""
+        """Begin to write the held checkpoint once counted, unless its learner has ended."""
         ended = held.session not in sessions
         if not ended and now < held.until and not held.session.has_answer_to(held.message):
             return
@@ -107,19 +111,19 @@ class LearnerCheckpoints:
             self._writer.begin(self._folder(held.session), held.about, held.state)
 
     def write_last(self, sessions: Iterable[LearnerSession]) -> None:
-        """Write the last checkpoint of every learner, and wait for it."""
+        """Write every learner's last checkpoint and wait for it."""
         self._held = None
         self._writer.wait()
         for session in sessions:
             self._writer.write(self._folder(session), _about(session), session.state_dict())
 
     def delete(self, sessions: Iterable[LearnerSession]) -> None:
-        """Delete the checkpoints of learners: a solved run needs them no more."""
+        """Delete the learners' checkpoints, once the run is solved."""
         self._writer.wait()
         for session in sessions:
             delete_checkpoints(self._folder(session))
             if not self._is_of_run(session.run_id):
-                with suppress(OSError):  # others may have theirs there
+                with suppress(OSError):  # other learners' checkpoints may be there
                     (self._checkpoints / session.run_id).rmdir()
 
     def _folder(self, session: LearnerSession) -> Path:

@@ -1,7 +1,7 @@
-"""The connection to the coordinator, served by a thread of its own.
+"""The connection to the coordinator, served by its own thread.
 
-The learner loop may compute for minutes, or import and build environments. Meanwhile the thread renews its leases and
-takes the coordinator's messages in. Both sides hand messages over through queues: only the thread touches the socket.
+The thread renews leases and receives messages while the learner loop computes or imports for minutes. The two exchange
+messages through queues; only the thread uses the socket.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ from workers.loop_watch import LoopWatch
 from workers.say import say
 
 POLL_MS = 50
-STOPPED_S = 2.0  # a gap between two turns of the thread in which the process did not run
+STOPPED_S = 2.0  # a longer gap between two turns of the thread means the process did not run
 CLOSE_S = 5.0
 LINGER_MS = 200
 
@@ -38,12 +38,12 @@ _numbers = count(1)
 
 @dataclass(frozen=True)
 class Arrival:
-    """Something that came over the connection.
+    """Something received over the connection.
 
     Attributes:
-        at: when.
-        content: a message, why one cannot be read, or what became of the connection.
-        renewal: whether it is nothing but the answer to a renewal: a sign of life of the coordinator.
+        at: time of arrival.
+        content: a message, why one cannot be read, or a handshake outcome.
+        renewal: whether it only answers a lease renewal.
     """
 
     at: float
@@ -59,20 +59,20 @@ class _Outgoing:
 
 
 class StopClock:
-    """Adds up the time in which the process did not run (SIGSTOP, a laptop asleep), from the gaps between beats."""
+    """Sums the time the process did not run (SIGSTOP, a suspended laptop), from the gaps between beats."""
 
     def __init__(self, now: float) -> None:
         self._lock = threading.Lock()
         self._last, self._stopped_s = now, 0.0
 
     def beat(self, now: float) -> None:
-        """The thread is at work; called several times a second."""
+        """Record that the thread is running; call several times a second."""
         with self._lock:
             self._stopped_s += self._gap(now)
             self._last = now
 
     def stopped_s(self, now: float) -> float:
-        """Seconds in all, a gap that is not over included."""
+        """Total seconds stopped, including an ongoing gap."""
         with self._lock:
             return self._stopped_s + self._gap(now)
 
@@ -82,14 +82,11 @@ class StopClock:
 
 
 class ControlConnection:
-    """The loop's side of the connection; all methods are to be called by one thread, the loop's.
+    """The loop's side of the connection; call all methods from the loop's thread.
 
     Args:
-        context: the process's ZeroMQ context.
-        endpoint: of the coordinator.
-        instance: name of this worker.
-        keys: what to prove itself by, where the coordinator has keys.
-        watch: tells of a loop that makes no progress; while that counts as hung, no lease is renewed.
+        keys: this worker's, if the coordinator has keys.
+        watch: detects a hung loop, whose leases are not renewed.
 
     Raises:
         ConfigError: if the endpoint cannot be used.
@@ -108,29 +105,29 @@ class ControlConnection:
         self._service.start()
 
     def send(self, envelope: Envelope) -> Future[bool]:
-        """Send a message; the future tells whether the socket took it, which it does not while nobody listens.
+        """Send a message; the future tells whether the socket accepted it, which needs a connection.
 
         Raises:
-            ProtocolError: if its arrays are too large.
+            ProtocolError: if its arrays are invalid or too large.
         """
         outgoing = _Outgoing(envelope, encode(envelope), Future())
         self._put(outgoing)
         return outgoing.taken
 
     def forget(self, pid: str) -> None:
-        """Renew the lease on a sub-task no longer; a message under it begins that again."""
+        """Stop renewing a sub-task's lease, until the next message under it."""
         self._put(pid)
 
     def _put(self, item: _Outgoing | str) -> None:
         self._outgoing.append(item)
-        with suppress(zmq.Again):  # the thread is awake then
+        with suppress(zmq.Again):  # then the thread is awake already
             self._wake.send(b"", zmq.NOBLOCK)
 
     def receive(self, timeout_s: float) -> Arrival | None:
-        """The next arrival, or None after ``timeout_s``.
+        """The next arrival, or None after ``timeout_s`` seconds.
 
         Raises:
-            Exception: whatever the connection's thread has died of.
+            Exception: whatever ended the connection's thread.
         """
         try:
             arrival = self._arrived.get(timeout=timeout_s) if timeout_s > 0 else self._arrived.get_nowait()
@@ -145,7 +142,7 @@ class ControlConnection:
         return self._clock.stopped_s(time.monotonic())
 
     def close(self) -> None:
-        """Hand over what is to be sent, and close the connection."""
+        """Send what is queued and close the connection."""
         self._service.stop.set()
         with suppress(zmq.Again):
             self._wake.send(b"", zmq.NOBLOCK)
@@ -154,7 +151,7 @@ class ControlConnection:
 
 
 class _Service(threading.Thread):
-    """The thread's side; it owns the socket from its start on."""
+    """The thread's side; it owns the socket once started."""
 
     def __init__(
         self,
@@ -178,7 +175,7 @@ class _Service(threading.Thread):
         self.stop = threading.Event()
 
     def run(self) -> None:
-        """Serve until told to stop; an unexpected error reaches the loop."""
+        """Serve until stopped; passes unexpected errors to the loop."""
         try:
             while not self.stop.is_set():
                 self._turn()
@@ -239,7 +236,7 @@ class _Service(threading.Thread):
 
 
 def _pair(context: Context) -> tuple[Socket, Socket]:
-    """Two connected sockets within this process."""
+    """Two connected in-process sockets."""
     ours, theirs = context.socket(zmq.PAIR), context.socket(zmq.PAIR)
     name = f"inproc://control-{next(_numbers)}"
     theirs.bind(name)

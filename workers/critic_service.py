@@ -1,7 +1,6 @@
-"""Answers peers in a thread of its own: critic values and weights from published copies, and experience.
+"""Serves critic values, weights and experience to peers from its own thread.
 
-That thread shares the interpreter with the learner, so what it does is time that the learner lacks: all value requests
-that wait for a sub-task are evaluated in one call.
+The thread takes time from the learner, so it evaluates all waiting value requests of a sub-task in one call.
 """
 
 from __future__ import annotations
@@ -57,10 +56,10 @@ Answer = tuple[Message, dict[str, NDArray[Any]]]
 
 
 class _Pace:
-    """What a connection gets of a sub-task only so often.
+    """Limits how often each connection gets a sub-task's data.
 
     Args:
-        every_s: seconds between two of them.
+        every_s: minimum interval in seconds.
     """
 
     def __init__(self, every_s: float) -> None:
@@ -68,11 +67,11 @@ class _Pace:
         self._last: OrderedDict[tuple[bytes, str], float] = OrderedDict()
 
     def is_early(self, peer: bytes, pid: str) -> bool:
-        """Whether it has had the last too short a time ago."""
+        """Whether the interval has not yet passed."""
         return time.monotonic() - self._last.get((peer, pid), -np.inf) < self.every_s
 
     def note(self, peer: bytes, pid: str) -> None:
-        """It gets one now."""
+        """Record a delivery."""
         self._last[peer, pid] = time.monotonic()
         self._last.move_to_end((peer, pid))
         if len(self._last) > REMEMBERED:
@@ -80,15 +79,14 @@ class _Pace:
 
 
 class CriticService:
-    """A ROUTER socket; ``serve`` publishes the critic of a sub-task, ``allow`` says which keys may ask.
+    """A ROUTER socket; ``serve`` publishes a sub-task's critic, ``allow`` sets the keys that may query it.
 
     Args:
-        context: the process's ZeroMQ context.
         endpoint: where to listen.
-        advertise: host under which peers find it; the bound one by default.
-        insecure: allow an address that other machines can reach without keys.
-        own: this worker's pair; peers know its public half from the coordinator.
-        tell: called with a line about trouble.
+        advertise: host advertised to peers; by default the bound one.
+        insecure: allow an address beyond loopback without keys.
+        own: this worker's pair; peers get its public half from the coordinator.
+        tell: logs problems.
 
     Raises:
         ConfigError: if the endpoint cannot be used.
@@ -139,12 +137,12 @@ class CriticService:
             self._experiences[pid] = experience
 
     def allow(self, keys: Iterable[str]) -> None:
-        """Let these keys ask, and this worker's own, and no others from now on; nothing to do without keys."""
+        """Allow only these keys and this worker's own from now on; no effect without keys."""
         if self._allowed is not None and self._own is not None:
             self._allowed.replace({*keys, self._own.public} - {""})
 
     def _refused(self, refusal: Refusal) -> None:
-        """A peer may well ask before this worker has heard of it: worth telling only if that goes on."""
+        """Log a rejected peer that keeps trying; a new peer may query early."""
         now = time.monotonic()
         if now - self._strangers.setdefault(refusal.key, now) >= STRANGER_S:
             text = f"refused a peer at {refusal.address}: its key {refusal.key} is none the coordinator told of"
@@ -168,7 +166,7 @@ class CriticService:
         self._socket.close(0)
 
     def _take(self, arrivals: Sequence[Arrival]) -> None:
-        """Answer everything that waits: value requests together, all else one by one."""
+        """Answer all waiting requests, value requests together."""
         asked: dict[str, list[tuple[bytes, Envelope]]] = {}
         for arrival in arrivals:
             peer, envelope = arrival.peer, arrival.content
@@ -198,7 +196,7 @@ class CriticService:
         return self._weights(peer, request, critic)
 
     def _weights(self, peer: bytes, request: WeightsRequest, critic: PublishedValues) -> Answer:
-        """The newest weights, for each connection twice a second at most."""
+        """The newest weights, at most twice a second per connection."""
         if self._weights_pace.is_early(peer, request.pid):
             return _early("weights", request.pid, self._weights_pace)
         weights, version = critic.weights()
@@ -208,7 +206,7 @@ class CriticService:
         return WeightsReply(version=version), with_prefix("weights.", weights)
 
     def _experience(self, peer: bytes, request: ExperienceRequest) -> Answer:
-        """Steps from the one asked for on, as many as fit into a message, for each connection ten times a second."""
+        """Steps from the requested one that fit into a message, at most ten times a second per connection."""
         experience = self._experiences.get(request.pid)
         if experience is None:
             return Failure(text=f"no experience of {request.pid!r} here"), {}
@@ -220,12 +218,12 @@ class CriticService:
         return reply, with_prefix("experience.", columns)
 
     def _values(self, pid: str, requests: Sequence[Envelope]) -> list[Answer]:
-        """Answers to the value requests of one sub-task, from one evaluation if all of them are good."""
+        """Answers to one sub-task's value requests, from one evaluation if possible."""
         critic = self._critics.get(pid)
         if critic is None:
             return [_no_critic(pid)] * len(requests)
         if len(requests) > 1:
-            with suppress(ProtocolError, ValueError, KeyError, TypeError):  # one by one then: they fail alone
+            with suppress(ProtocolError, ValueError, KeyError, TypeError):  # on error, answer one by one
                 return _together(critic, requests)
         return [_alone(critic, request) for request in requests]
 
@@ -252,7 +250,7 @@ def _together(critic: PublishedValues, requests: Sequence[Envelope]) -> list[Ans
     """One evaluation for all requests.
 
     Raises:
-        ProtocolError: if one of them is not good.
+        ProtocolError: if one of them is invalid.
         ValueError: likewise.
         KeyError: likewise.
     """

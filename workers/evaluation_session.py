@@ -1,4 +1,4 @@
-"""The evaluator's lease: weights in, twenty episodes or twice as many, a report out."""
+"""An evaluator's session: weights in, episodes in one or two action modes, a report out."""
 
 from __future__ import annotations
 
@@ -18,11 +18,11 @@ from workers.learner_session import compiled_from, training_of
 
 
 class EvaluationSession:
-    """Evaluates the composed policy whenever the coordinator hands out a job.
+    """Evaluates the composed policy for each of the coordinator's jobs.
 
     Args:
         granted: the evaluator's lease.
-        seed: of the episodes' starts; the run's own by default.
+        seed: of the episodes' starts; by default the run's.
     """
 
     def __init__(self, granted: Granted, *, seed: int | None = None) -> None:
@@ -33,7 +33,7 @@ class EvaluationSession:
         self._evaluator: Evaluator | None = None
 
     def renew(self, granted: Granted) -> bool:
-        """Go on under a later lease; False if that is for another training."""
+        """Continue under a later lease; False if it is for a different training."""
         if training_of(granted) != self._training:
             return False
         self.epoch = granted.epoch
@@ -69,11 +69,11 @@ class EvaluationSession:
         return self._evaluator
 
     def state_dict(self) -> State:
-        """What decides the starts of the next evaluations, for a checkpoint."""
+        """The state that determines the next evaluations' starts, for a checkpoint."""
         return {"evaluator": None if self._evaluator is None else self._evaluator.state_dict()}
 
     def load_state_dict(self, state: State) -> None:
-        """Go on from a ``state`` of a session of the same run."""
+        """Restore from ``state_dict`` of a session of the same run."""
         if state["evaluator"] is not None:
             self._evaluator_for(self._policy([], {})).load_state_dict(state["evaluator"])
 

@@ -1,4 +1,4 @@
-"""The evaluator's place as its holder works under it: polls, evaluates in slices, reports."""
+"""The evaluator's work under its lease: polls, evaluates in slices, reports."""
 
 from __future__ import annotations
 
@@ -21,14 +21,12 @@ SLICE_S = 0.2
 
 
 class EvaluationWork:
-    """Work under one lease on the evaluator's place.
+    """Work under one lease on the evaluator role.
 
-    Evaluating in slices lets the process hear the coordinator and signals, and keep its leases, however long an
-    evaluation takes.
+    Evaluating in slices keeps the process responsive to the coordinator and signals.
 
     Args:
         session: plays the episodes.
-        send: sends a message to the coordinator.
         clock: seconds.
     """
 
@@ -45,11 +43,11 @@ class EvaluationWork:
 
     @property
     def busy(self) -> bool:
-        """Whether an evaluation is under way."""
+        """Whether an evaluation is running."""
         return self._steps is not None
 
     def take(self, envelope: Envelope) -> None:
-        """The coordinator's answer to a poll: begin its job, or ask again later; while busy, no job is good news."""
+        """Process a reply to a poll: begin its job or poll again later."""
         message = envelope.message
         if not isinstance(message, EvaluationJob) or (self.busy and not message.job):
             return
@@ -58,14 +56,14 @@ class EvaluationWork:
         self._poll_due = self._clock() + (BUSY_S if message.job else POLL_S)
 
     def tell(self) -> None:
-        """Ask for a job, or give a sign of life while busy with one, if either is due."""
+        """Send a due poll; while busy it is only a heartbeat."""
         now = self._clock()
         if now >= self._poll_due:
             self._poll_due = now + (BUSY_S if self.busy else PATIENCE_S)
             self._send(EvaluationPoll(epoch=self._session.epoch, busy=self.busy))
 
     def advance(self) -> bool:
-        """One slice of the evaluation under way; whether it has ended with that, and was reported."""
+        """Run one slice of the evaluation; whether this finished and reported it."""
         if self._steps is None:
             return False
         began, until = time.process_time(), self._clock() + SLICE_S
@@ -78,12 +76,12 @@ class EvaluationWork:
         return True
 
     def give_back(self) -> None:
-        """Release the place."""
+        """Release the lease."""
         self._send(Release(pid=self._session.place, epoch=self._session.epoch))
 
 
 def _advance(steps: Generator[None, None, EvaluationReport], keep_going: Callable[[], bool]) -> EvaluationReport | None:
-    """Steps for as long as wanted; the report if they have ended."""
+    """Run steps while ``keep_going``; returns the report once finished."""
     try:
         while keep_going():
             next(steps)

@@ -1,4 +1,4 @@
-"""What learning needs is slow to import (torch, the environments): it is loaded aside, once a lease is held."""
+"""Imports torch and the environments in the background, once a lease is held."""
 
 from __future__ import annotations
 
@@ -27,13 +27,13 @@ HEAVY: dict[Role, tuple[str, ...]] = {
 
 @dataclass(frozen=True)
 class WaitingLease:
-    """A lease that is held already, but cannot be worked under before everything is loaded."""
+    """A lease held while its work is still being imported."""
 
     granted: Granted
     arrays: Mapping[str, NDArray[Any]]
 
     def first_message(self) -> Sync | EvaluationPoll:
-        """Says that the lease is wanted; from then on it is renewed. Sequence 0 carries no progress."""
+        """Accept the lease, so that it is renewed from then on. Sequence 0 carries no progress."""
         granted = self.granted
         if granted.role == "evaluator":
             return EvaluationPoll(epoch=granted.epoch, busy=True)
@@ -47,7 +47,7 @@ class WaitingLease:
         )
 
     def learn(self, device: Device, tell: Callable[[str], None]) -> LearnerSession:
-        """The learner of this lease, on a device, and whom to tell of trouble; call once loaded."""
+        """Create the lease's learner on a device; call once imported."""
         import torch
 
         from workers.learner_session import LearnerSession
@@ -56,7 +56,7 @@ class WaitingLease:
         return LearnerSession(self.granted, self.arrays, device=device, tell=tell)
 
     def evaluate(self) -> EvaluationSession:
-        """The evaluator of this lease; call once loaded."""
+        """Create the lease's evaluator; call once imported."""
         import torch
 
         from workers.evaluation_session import EvaluationSession
@@ -66,10 +66,10 @@ class WaitingLease:
 
 
 def check_trust(granted: Granted, coordinator: str, *, given: bool) -> None:
-    """Refuse a task whose environment is code that this user does not trust: without keys, anybody can coordinate.
+    """Reject a task with untrusted environment code: without keys, anybody can coordinate.
 
     Raises:
-        TrustError: if so.
+        TrustError: if the code is not trusted.
         ConfigError: if the task cannot be read.
     """
     environment = task_config(granted.task, source="coordinator").environment
@@ -78,18 +78,14 @@ def check_trust(granted: Granted, coordinator: str, *, given: bool) -> None:
 
 
 class HeavyImports:
-    """Imports in a thread, so that the worker goes on hearing the coordinator and signals meanwhile.
-
-    Args:
-        role: for whose work.
-    """
+    """Imports in a thread, so that the worker stays responsive."""
 
     def __init__(self, role: Role) -> None:
         self._role: Role = role
         self._done: Future[None] | None = None
 
     def ready(self) -> bool:
-        """Whether all is loaded; the first call starts it.
+        """Whether everything is imported; the first call starts it.
 
         Raises:
             ImportError: if a package is missing.

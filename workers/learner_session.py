@@ -1,6 +1,6 @@
-"""One lease on one sub-task: the learner, its copies of buffer and Q table, and what it tells the coordinator.
+"""One lease on one sub-task: the learner, its copies of buffer and Q-table, and its reports.
 
-Pure with respect to the network: messages are made and taken here, and sent elsewhere.
+Does no network I/O: it creates and processes messages that others send and receive.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ STARTS_PER_SYNC = 64
 
 
 def compiled_from(granted: Granted) -> CompiledTask:
-    """The task as the coordinator compiled it: a worker needs no translator of its own."""
+    """The task as compiled by the coordinator."""
     return CompiledTask(
         task_config(granted.task, source="coordinator"),
         DFA.from_json(granted.dfa),
@@ -45,13 +45,12 @@ def compiled_from(granted: Granted) -> CompiledTask:
 
 
 class LearnerSession:
-    """A learner at work under a lease.
+    """A learner working under a lease.
 
     Args:
-        granted: the lease.
-        arrays: weights that came with it, if the sub-task was learned before.
-        device: where the learner's networks are.
-        tell: called with a line about weights or start states that cannot be used.
+        arrays: weights granted with it, if the sub-task was trained before.
+        device: device of the learner's networks.
+        tell: logs unusable weights or start states.
     """
 
     def __init__(
@@ -71,7 +70,7 @@ class LearnerSession:
         self.peers: dict[str, Peer] = {}
         self.intervention = task.config.learner.intervention
         self._dfa_states, self.symbols = task.dfa.delta.shape
-        self.processor_s = 0.0  # kept by whoever has a clock
+        self.processor_s = 0.0  # updated by the caller
         self._tell = tell
         self.learner.rollout.report_to(self._say)
         self._take_weights(granted, arrays)
@@ -85,7 +84,7 @@ class LearnerSession:
         self._tell(f"{self.pid}: {text}")
 
     def _take_weights(self, granted: Granted, arrays: Mapping[str, NDArray[Any]]) -> None:
-        """Go on from weights that came with a lease; if they cannot be used, without, but under a newer version."""
+        """Load granted weights; if unusable, only adopt their version."""
         weights = without_prefix("weights.", arrays)
         if not weights:
             return
@@ -104,26 +103,26 @@ class LearnerSession:
         self._sent_at = -np.inf
 
     def can_go_on_under(self, granted: Granted) -> bool:
-        """Whether what was learned here is of use under a lease of this pid: of the same run, or of one like it."""
+        """Whether this learner is useful under a lease of this pid."""
         return granted.run_id == self.run_id or training_of(granted) == self._trained_for
 
     def renew(self, granted: Granted) -> None:
-        """Go on under a new lease (the coordinator was started again) with everything learned so far.
+        """Continue with everything learned so far under a new lease, after a coordinator restart.
 
-        A coordinator that resumed the run knows what was reported before; to a new run everything is reported.
+        A coordinator that resumed the run knows earlier reports; a new run gets all counts again.
         """
         before = self._ledger.newest or self._ledger.before if granted.run_id == self.run_id else LearnerStats()
         self.run_id, self.epoch = granted.run_id, granted.epoch
         self._begin_lease(before, sent_version=0)
 
     def resume_from(self, state: State, granted: Granted, arrays: Mapping[str, NDArray[Any]]) -> None:
-        """Go on from a checkpoint of this run under a new lease; weights that came with the lease are kept if newer.
+        """Restore a checkpoint of this run under a new lease; keeps the granted weights if newer.
 
-        What was reported under an earlier lease is not reported again; the counts of intervention and of processor
-        time, which are not the learner's own, begin at 0.
+        Counts reported under an earlier lease are not reported again. The counts of intervention and CPU time, which
+        the learner does not keep, restart at 0.
 
         Raises:
-            RunError, PolicyError: if the checkpoint is of another kind of learner.
+            RunError, PolicyError: if the checkpoint belongs to another kind of learner.
         """
         self._load(state)
         if granted.version > self.learner.version:
@@ -134,7 +133,7 @@ class LearnerSession:
         self._ledger.before = msgspec.structs.replace(told, intervention=Intervention(), processor_s=self.processor_s)
 
     def state_dict(self) -> State:
-        """Everything, for a checkpoint; arrays may be views, see ``Learner.state_dict``."""
+        """The state for a checkpoint; arrays may be views, see ``Learner.state_dict``."""
         return {
             "learner": self.learner.state_dict(),
             "buffer": self.buffer.state_dict(),
@@ -150,7 +149,7 @@ class LearnerSession:
         }
 
     def load_state_dict(self, state: State) -> None:
-        """Go on from a ``state`` under the very same lease: in one process with its coordinator (``--serial``)."""
+        """Restore from ``state_dict`` under the same lease, in one process with the coordinator (``--serial``)."""
         self._load(state)
         lease = state["lease"]
         self._ledger.sequence, self._start_cursor = lease["sequence"], lease["start_cursor"]
@@ -164,14 +163,14 @@ class LearnerSession:
         self.method.load((q, pid, value) for q, pid, value in state["q_table"])
 
     def iterate(self, peers: PeerCritics) -> bool:
-        """One roll-out and its updates; False while there is no state to start from, or others are scheduled."""
+        """Run one rollout and its updates; False without a start state, or if not scheduled."""
         scheduled = self.method.schedule()
         self._training = (scheduled is None or self.pid in scheduled) and self.learner.iterate(peers)
         self._counts = peers.counts
         return self._training
 
     def next_sync(self, now: float, interval_s: float) -> Envelope | None:
-        """The message due now, if any: new progress once the last was answered, or the last again if it was not."""
+        """The message due now, if any: new progress, or a repeat of an unanswered message."""
         if self._outstanding is not None:
             if now < self._sent_at + RESEND_S:
                 return None
@@ -184,7 +183,7 @@ class LearnerSession:
         return self._outstanding
 
     def last_sync(self) -> Envelope:
-        """What the coordinator has not been told yet, at the end of the work; answered like any other."""
+        """A final message with everything not yet reported."""
         self._outstanding = self._sync(last=True)
         return self._outstanding
 
@@ -195,7 +194,7 @@ class LearnerSession:
 
     @property
     def all_reported(self) -> bool:
-        """Whether the newest message holds all that was done, be it answered or not."""
+        """Whether the newest message covers all work, answered or not."""
         done, newest = (self.learner.rollout.interactions, self.learner.gradient_steps), self._ledger.newest
         return newest is not None and (newest.interactions, newest.gradient_steps) == done
 
@@ -205,7 +204,7 @@ class LearnerSession:
         return self.epoch, self._ledger.sequence
 
     def has_answer_to(self, message: tuple[int, int]) -> bool:
-        """Whether the coordinator has answered a ``newest_message``, or one after it, of this very lease."""
+        """Whether the coordinator has answered ``message`` or a later one of this lease."""
         epoch, sequence = message
         return epoch == self.epoch and sequence <= self._ledger.answered
 
@@ -246,7 +245,7 @@ class LearnerSession:
         )
 
     def take_reply(self, envelope: Envelope) -> None:
-        """Take the coordinator's answer: start states, Q table, peers; ignore answers to other sub-tasks.
+        """Process a reply: start states, Q-table, peers; ignores replies to other sub-tasks or epochs.
 
         Raises:
             ProtocolError: if its start states cannot be read.
@@ -266,5 +265,5 @@ class LearnerSession:
 
 
 def training_of(granted: Granted) -> tuple[object, ...]:
-    """All that decides what is learned under a lease: task with settings, automaton, sub-tasks, potentials, seed."""
+    """What determines the training: task with settings, automaton, sub-tasks, potentials, seed."""
     return granted.task, granted.dfa, granted.decomposition, granted.rho, granted.seed

@@ -1,4 +1,4 @@
-"""Which leases to renew, and when: pure, with the time as an argument."""
+"""Which leases to renew, and when; pure, with time as an argument."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from t4nmtd_dist.wire.messages import (
     SyncReply,
 )
 
-RENEWAL = 16  # added to the number of a renewal, by which answers to it are known
+RENEWAL = 16  # added to a renewal's number, to recognise its reply
 RENEWALS_PER_LEASE = 4
 
 
@@ -28,8 +28,7 @@ class _Lease:
     """A lease under which the loop has reported.
 
     Attributes:
-        epoch: of the lease.
-        renewed: when the loop last reported under it, or it was last renewed.
+        renewed: time of its last report or renewal.
     """
 
     epoch: int
@@ -37,7 +36,7 @@ class _Lease:
 
 
 class LeaseRenewals:
-    """Renews every lease under which the learner loop has reported, until the loop releases it or it is refused.
+    """Renews leases that the learner loop has reported under, until released or refused.
 
     Attributes:
         lease_s: seconds for which one message keeps a lease.
@@ -46,15 +45,15 @@ class LeaseRenewals:
     def __init__(self) -> None:
         self.lease_s = float("inf")
         self._learners: dict[str, _Lease] = {}
-        self._evaluators: dict[int, _Lease] = {}  # by the number of the loop's messages: own work, or as a stand-in
+        self._evaluators: dict[int, _Lease] = {}  # by message number: own work, or as a stand-in
 
     @property
     def interval_s(self) -> float:
-        """Seconds between two messages under a lease."""
+        """Seconds between renewals of a lease."""
         return self.lease_s / RENEWALS_PER_LEASE
 
     def sent(self, envelope: Envelope, now: float) -> None:
-        """The loop sends a message: a report renews a lease, and a release ends it."""
+        """Process an outgoing message: a report renews its lease, a release ends it."""
         message = envelope.message
         if isinstance(message, Sync):
             self._learners[message.pid] = _Lease(message.epoch, now)
@@ -66,11 +65,11 @@ class LeaseRenewals:
             self._evaluators.pop(envelope.id, None)
 
     def forget(self, pid: str) -> None:
-        """The loop does not learn a sub-task any more."""
+        """Stop renewing a sub-task's lease."""
         self._learners.pop(pid, None)
 
     def due(self, now: float) -> list[Envelope]:
-        """The messages that renew what has not been renewed for an interval."""
+        """Renewal messages for leases that were not renewed for an interval."""
         found: list[Envelope] = []
         for pid, lease in self._learners.items():
             if self._is_due(lease, now):
@@ -87,7 +86,7 @@ class LeaseRenewals:
         return True
 
     def received(self, envelope: Envelope) -> tuple[Envelope, bool]:
-        """A message has come: as the loop is to see it, and whether it is nothing but the answer to a renewal."""
+        """Process an incoming message; returns it for the loop, and whether it only answers a renewal."""
         message, renewal = envelope.message, envelope.id >= RENEWAL
         if isinstance(message, Granted):
             self.lease_s = message.lease_s
@@ -97,7 +96,7 @@ class LeaseRenewals:
         return for_loop, renewal and isinstance(message, SyncReply | EvaluationJob)
 
     def _refused(self, refused: Refused, number: int) -> None:
-        """Renew a lease no longer that was refused: the loop decides what follows."""
+        """Stop renewing a refused lease."""
         if refused.pid in self._learners:
             self.forget(refused.pid or "")
         else:
@@ -105,5 +104,5 @@ class LeaseRenewals:
 
 
 def _sign_of_life(pid: str, epoch: int) -> Message:
-    """Sequence 0 carries no progress, and no start state is newer than the largest cursor."""
+    """A heartbeat: no progress (sequence 0), no start states (largest cursor)."""
     return Sync(pid=pid, epoch=epoch, sequence=0, version=0, start_cursor=LARGEST_COUNT, stats=LearnerStats())

@@ -1,4 +1,4 @@
-"""Notices when the learner loop makes no progress, as when it hangs in a user's environment."""
+"""Detects a learner loop without progress, for instance in a user's environment."""
 
 from __future__ import annotations
 
@@ -9,35 +9,31 @@ from pathlib import Path
 from types import FrameType
 from typing import Protocol
 
-FIRST_WARNING_S = 60.0  # each further one after twice the time
-HUNG_S = 600.0  # after which the loop's leases are not renewed any more
+FIRST_WARNING_S = 60.0  # the interval then doubles
+HUNG_S = 600.0  # after which the loop's leases are no longer renewed
 
 _OWN_PACKAGES = ("t4nmtd_dist", "workers")
 _ROOT = Path(__file__).resolve().parents[1]
 
 
 class Loop(Protocol):
-    """What another thread may ask of a learner loop."""
+    """What other threads may query of a learner loop."""
 
     def name(self) -> str:
-        """What it works at, such as its sub-tasks."""
+        """Its current work, such as its sub-tasks."""
 
     def progress(self) -> Hashable:
         """A value that changes with every turn, environment step and update."""
 
     def where(self) -> str:
-        """Which call it is in."""
+        """The call it is in."""
 
 
 class LoopWatch:
-    """Measures how long the learner loop has made no progress; used by the thread that renews its leases.
-
-    Args:
-        loop: the loop.
-        now: the clock.
+    """Measures how long the learner loop makes no progress; runs in the connection's thread.
 
     Attributes:
-        idle_s: seconds without progress at the last look.
+        idle_s: seconds without progress at the last check.
     """
 
     def __init__(self, loop: Loop, now: float) -> None:
@@ -53,11 +49,11 @@ class LoopWatch:
         return self.idle_s >= HUNG_S
 
     def check(self, now: float, stopped_s: float) -> str | None:
-        """Look at the loop; a line if one is due.
+        """Check the loop; returns a warning if one is due.
 
         Args:
             now: the clock.
-            stopped_s: seconds in all in which this process did not run; they do not count.
+            stopped_s: total seconds in which this process did not run, which do not count.
         """
         seen = self._loop.progress()
         if seen != self._seen:
@@ -78,10 +74,10 @@ class LoopWatch:
 
 
 def place_of(thread: int) -> str:
-    """Where a thread of this process is: the last call out of our own code, and the innermost one.
+    """A thread's position: its last call from our code, and its innermost call.
 
     Args:
-        thread: its identifier, as ``threading.get_ident`` gives it.
+        thread: its identifier, from ``threading.get_ident``.
     """
     frames = _stack(sys._current_frames().get(thread))
     left = [after for before, after in pairwise(frames) if _is_own(before) and not _is_own(after)]
@@ -90,7 +86,7 @@ def place_of(thread: int) -> str:
 
 
 def _stack(frame: FrameType | None) -> list[FrameType]:
-    """The frames of a thread, the outermost first."""
+    """A thread's frames, outermost first."""
     found: list[FrameType] = []
     while frame is not None:
         found.append(frame)

@@ -1,4 +1,4 @@
-"""How a worker is started; see ``t4nmtd-worker --help``."""
+"""A worker's options; see ``t4nmtd-worker --help``."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from t4nmtd_dist.wire.messages import Role
 
 
 def default_instance() -> str:
-    """A name for this process: host and process number."""
+    """A default name: host and process id."""
     return f"{socket.gethostname()}:{os.getpid()}"
 
 
@@ -23,10 +23,10 @@ class Connection:
 
     Attributes:
         coordinator: its control endpoint.
-        wait_s: seconds without any word from it after which to give up.
-        keys: folder of this worker's keys; None where the coordinator has none.
-        insecure: allow this worker's critics an address that other machines can reach without keys.
-        trust: import the code that the coordinator's task names, whoever the coordinator is.
+        wait_s: seconds of coordinator silence before giving up.
+        keys: folder of this worker's keys; None if the coordinator has none.
+        insecure: allow critics beyond loopback without keys.
+        trust: import code named by the task, whoever the coordinator is.
     """
 
     coordinator: str
@@ -38,12 +38,12 @@ class Connection:
 
 @dataclass(frozen=True)
 class CriticAddress:
-    """Where peers reach this worker's critics.
+    """Address of this worker's critics.
 
     Attributes:
-        host: address to listen on; "" for the one on the way to the coordinator.
+        host: address to bind; "" for the one on the route to the coordinator.
         port: 0 for any free one.
-        advertise: name or address under which peers find it, if it is another one than ``host``.
+        advertise: host advertised to peers, if not ``host``.
     """
 
     host: str = ""
@@ -57,7 +57,7 @@ class CheckpointOptions:
 
     Attributes:
         folder: ``checkpoints/`` of a run directory, or any other folder.
-        every_s: seconds between two checkpoints of a learner.
+        every_s: checkpoint interval of a learner in seconds.
     """
 
     folder: Path
@@ -66,16 +66,11 @@ class CheckpointOptions:
 
 @dataclass(frozen=True)
 class WorkerOptions:
-    """How a worker is started.
+    """A worker's options.
 
     Attributes:
-        connection: how to reach the coordinator.
-        role: learner or evaluator.
-        pids: sub-tasks to learn, by name or number; empty for the next free ones.
-        instance: name of this worker.
-        critic: where peers reach its critics.
-        checkpoints: None for no checkpoints.
-        device: where it trains.
+        pids: sub-tasks to train, by name or number; empty for the next free ones.
+        checkpoints: None to write none.
     """
 
     connection: Connection

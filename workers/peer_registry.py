@@ -1,4 +1,4 @@
-"""The peers of a worker's learners: those in this process directly, all others over the wire."""
+"""The peers of a worker's learners: in-process directly, others over the wire."""
 
 from __future__ import annotations
 
@@ -20,17 +20,15 @@ if TYPE_CHECKING:
 
 
 class PeerRegistry:
-    """Whom the learners of a worker ask for values, and from whose experience they learn.
+    """Peers that this worker's learners query for values and learn experience from.
 
     Args:
-        context: the process's ZeroMQ context.
-        instance: the worker's name.
         keys: this worker's own, if the coordinator has keys.
-        tell: called with a line about trouble.
+        tell: logs problems.
 
     Attributes:
-        peers: by pid of the own learners, whom each asks.
-        experience: what was pulled from other processes; None before there is a learner that wants it.
+        peers: each own learner's peers, by its pid.
+        experience: experience pulled from other processes; None until a learner uses it.
     """
 
     def __init__(self, context: Context, instance: str, keys: ClientKeys | None, tell: Log = lambda text: None) -> None:
@@ -42,13 +40,13 @@ class PeerRegistry:
         self.experience: PeerExperience | None = None
 
     def join(self, session: LearnerSession) -> None:
-        """A learner begins to work here."""
+        """Add a learner."""
         self._critics[session.pid] = session.learner.critic_values
         self.peers[session.pid] = self._peers_of(session)
         self._share_experience(session)
 
     def _peers_of(self, session: LearnerSession) -> PeerCritics:
-        """Peers in this process are evaluated directly, whatever the way to the others."""
+        """The learner's peers; those in this process are evaluated directly."""
         if session.intervention == "off":
             return NoPeers()
         near = LocalPeers(self._critics)
@@ -64,7 +62,7 @@ class PeerRegistry:
         return QueryPeers(self._context, sender, self._keys, learner.value_shape)
 
     def _share_experience(self, session: LearnerSession) -> None:
-        """Let it learn from all that the others have lived through, here and elsewhere."""
+        """Let a learner use all others' experience."""
         learner = session.learner
         if learner.replay_buffer is None or not learner.peer_steps:
             return
@@ -75,19 +73,19 @@ class PeerRegistry:
         learner.learn_from(ChainMap(self._lived, self.experience.copies))
 
     def locate(self, session: LearnerSession) -> None:
-        """The coordinator has told where the peers of a learner are."""
+        """Update a learner's peers with their current addresses."""
         elsewhere = {pid: peer for pid, peer in session.peers.items() if pid not in self._critics}
         for asker in (self._remote.get(session.pid), self.experience):
             if asker is not None:
                 asker.set_peers(elsewhere)
 
     def pull_experience(self) -> None:
-        """Take what peers elsewhere have lived through; never waits."""
+        """Pull new experience from remote peers; never waits."""
         if self.experience is not None:
             self.experience.pull()
 
     def leave(self, pid: str) -> None:
-        """A learner's work here is over."""
+        """Remove a learner."""
         for table in (self._critics, self._lived, self.peers):
             table.pop(pid, None)
         remote = self._remote.pop(pid, None)

@@ -1,4 +1,4 @@
-"""Which of a learner's counts the coordinator was told, and which of these it has answered, under one lease."""
+"""Tracks which counts were reported and answered under one lease."""
 
 from __future__ import annotations
 
@@ -7,16 +7,15 @@ from t4nmtd_dist.wire.statistics import counted_since
 
 
 class ReportLedger:
-    """Numbers the reports under one lease and remembers what each of them said.
+    """Numbers the reports under one lease and remembers their counts.
 
     Args:
-        before: counts that were reported under earlier leases, and are not reported again.
+        before: counts reported under earlier leases, which are not repeated.
 
     Attributes:
-        before: see above.
-        newest: all counts as of the newest report; None before the first.
+        newest: all counts at the newest report; None before the first.
         sequence: number of the newest report.
-        answered: number of the newest report that the coordinator has answered.
+        answered: number of the newest answered report.
         is_last: whether the newest report is the last one.
     """
 
@@ -29,20 +28,20 @@ class ReportLedger:
         self._counted: LearnerStats | None = None
 
     def report(self, counts: LearnerStats, *, last: bool = False) -> LearnerStats:
-        """Enter the next report of all ``counts``; what it says, counted since the lease began."""
+        """Register a report of all ``counts``; returns the counts since the lease began."""
         self.sequence += 1
         self.is_last = last
         self.newest = self._unanswered[self.sequence] = counts
         return counted_since(counts, self.before)
 
     def take_answer(self, sequence: int) -> None:
-        """The coordinator has counted all reports up to this one."""
+        """Record that the coordinator has counted all reports up to ``sequence``."""
         self.answered = max(self.answered, sequence)
         for number in [number for number in self._unanswered if number <= sequence]:
             self._counted = self._unanswered.pop(number)
 
     def counted(self, now: LearnerStats) -> LearnerStats:
-        """Counts that the coordinator has counted, or will while this lease lasts; ``now`` is all there is."""
+        """The counts that the coordinator has counted or will count under this lease; ``now`` is everything."""
         if self.is_last and self.answered < self.sequence:
             return self._counted or self.before
         return now

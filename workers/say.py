@@ -1,4 +1,4 @@
-"""One line for the person at the worker's terminal, or in its log."""
+"""Prints a line to the worker's terminal or log."""
 
 from __future__ import annotations
 
@@ -7,6 +7,6 @@ from contextlib import suppress
 
 
 def say(text: str) -> None:
-    """Write one line; where that is impossible, as on a full disk, go on without."""
+    """Write one line; ignores failures such as a full disk."""
     with suppress(OSError):
         print(f"t4nmtd-worker: {text}", file=sys.stderr, flush=True)

@@ -1,4 +1,4 @@
-"""A learner's worker that evaluates between its turns while there is no evaluator, for a tenth of its time at most."""
+"""Lets learners' workers evaluate between turns, using at most a tenth of their time."""
 
 from __future__ import annotations
 
@@ -15,18 +15,18 @@ from workers.evaluation_work import PATIENCE_S, EvaluationWork
 if TYPE_CHECKING:
     from workers.evaluation_session import EvaluationSession
 
-STAND_IN = 1  # the number of all messages of a stand-in, by which answers to it are known
+STAND_IN = 1  # number of all of a stand-in's messages, to recognise replies
 TIME_SHARE = 0.1
 ANSWER_S = 1.0
 
 
 @dataclass
 class SpareTime:
-    """What a worker may spend on evaluations: the first is free, a later one waits until all are within the share.
+    """Time budget for evaluations: the first is free, later ones wait for their share.
 
     Attributes:
-        began: when the worker began, in seconds of its clock.
-        spent: seconds that evaluations took.
+        began: start of the worker, in seconds of its clock.
+        spent: seconds spent on evaluations.
     """
 
     began: float
@@ -38,7 +38,7 @@ class SpareTime:
 
 
 def open_session(granted: Granted) -> EvaluationSession:
-    """An evaluation session whose starts differ from those of other stand-ins."""
+    """An evaluation session with other starts than those of other stand-ins."""
     from t4nmtd_dist.agents.registry import subtask_seed
     from workers.evaluation_session import EvaluationSession
 
@@ -46,14 +46,13 @@ def open_session(granted: Granted) -> EvaluationSession:
 
 
 class StandIn:
-    """Takes the evaluator's place for one evaluation at a time, on invitation.
+    """Takes the evaluator role for one evaluation at a time, when invited.
 
     Args:
-        instance: name of the worker.
-        send: sends a message to the coordinator, to be numbered ``STAND_IN``.
-        say: called with a line for people.
+        send: sends a message to the coordinator, numbered ``STAND_IN``.
+        say: called with a line for the user.
         clock: seconds.
-        sessions: makes a session for a lease.
+        sessions: creates a session for a lease.
     """
 
     def __init__(
@@ -74,11 +73,11 @@ class StandIn:
 
     @property
     def waiting(self) -> bool:
-        """Whether an answer is due any moment: a long turn now might outlast the lease."""
+        """Whether to await a reply: a long turn might outlast the lease."""
         return self._clock() < self._answer_until
 
     def invited(self) -> None:
-        """The coordinator wants an evaluation: claim the place if there is time to spare."""
+        """Claim the evaluator role when invited, if there is time to spare."""
         now = self._clock()
         if self._work is None and now >= self._ask_again and self._spare.allows(now):
             self._ask_again, self._answer_until = now + PATIENCE_S, now + ANSWER_S
@@ -86,7 +85,7 @@ class StandIn:
             self._send(Claim(role="evaluator", instance=self._instance, stand_in=True))
 
     def take(self, envelope: Envelope) -> None:
-        """An answer to one of its own messages; a lease that it has not asked for is ignored."""
+        """Process a reply to one of its messages; ignores leases that it did not request."""
         message = envelope.message
         if isinstance(message, Granted):
             if self._asked:
@@ -103,7 +102,7 @@ class StandIn:
                 self._end()
 
     def turn(self) -> bool:
-        """A slice of the evaluation under way; False if there is none."""
+        """Run a slice of the evaluation; False if there is none."""
         work = self._work
         if work is None or not work.busy:
             return False
@@ -113,7 +112,7 @@ class StandIn:
         return True
 
     def tell(self) -> None:
-        """Send what is due: a poll, or a sign of life."""
+        """Send a due poll or heartbeat."""
         if self._work is not None:
             self._work.tell()
 
@@ -135,7 +134,7 @@ class StandIn:
         self._ask_again = self._answer_until = -float("inf")
 
     def _try(self, do: Callable[[], None]) -> None:
-        """A policy that cannot be evaluated here must not end the learners."""
+        """Survive a policy that cannot be evaluated here."""
         try:
             do()
         except T4NMTDError as error:
@@ -147,5 +146,5 @@ class StandIn:
         self._ask_again = float("inf")
 
     def close(self) -> None:
-        """Give the place back, if it is held."""
+        """Release the lease, if held."""
         self._end()

@@ -27,7 +27,7 @@ class SendClaim:
 
 @dataclass(frozen=True)
 class StartWork:
-    """Start work under a lease, or go on under a new one."""
+    """Start work under a lease, or continue under a new one."""
 
     granted: Granted
 
@@ -42,7 +42,7 @@ class StopWork:
 
 @dataclass(frozen=True)
 class SendRelease:
-    """Release a lease that is not wanted: the claim was repeated because its answer came late."""
+    """Release an unwanted lease, granted to a repeated claim."""
 
     granted: Granted
 
@@ -67,12 +67,12 @@ Action = SendClaim | StartWork | StopWork | SendRelease | Print | Exit
 
 @dataclass
 class _Place:
-    """Something this worker wants to hold.
+    """A lease that this worker wants.
 
     Attributes:
         wanted: a given pid or its number (p1), or None for any free one.
         held: the pid held now.
-        kept: the pid held until the coordinator was restarted: its learner goes on, so it is claimed again.
+        kept: the pid held before a coordinator restart, to be claimed again.
     """
 
     wanted: str | None
@@ -84,15 +84,13 @@ class _Place:
 
 @dataclass
 class WorkerState:
-    """What one worker process holds and asks for.
+    """A worker's claims and leases.
 
     Args:
-        role: learner or evaluator.
-        instance: name of this process.
         pids: sub-tasks to claim; empty for the next free ones.
-        coordinator: its endpoint, for messages to people.
-        critic_endpoint: where this process answers critic requests.
-        wait_s: seconds without any word from the coordinator after which to give up.
+        coordinator: its endpoint, for messages to users.
+        critic_endpoint: endpoint of this process's critics.
+        wait_s: seconds of coordinator silence before giving up.
         now: the clock at the start.
     """
 
@@ -119,10 +117,10 @@ class WorkerState:
         return [place.held for place in self._places if place.held is not None]
 
     def validate(self) -> None:
-        """Check what must hold between any two events; tests do so after each.
+        """Check all invariants; tests call this after every event.
 
         Raises:
-            InvariantError: if it does not hold.
+            InvariantError: if one is violated.
         """
         held = self.held
         require(len(set(held)) == len(held), "a place is held twice: {}", held)
@@ -133,7 +131,7 @@ class WorkerState:
             _check_place(place, self.role)
 
     def tick(self, now: float) -> list[Action]:
-        """Time has passed: claim what is due, or give up."""
+        """Advance time: send due claims, or give up."""
         silent = now - self._last_message
         if silent > self.wait_s:
             text = (
@@ -162,18 +160,18 @@ class WorkerState:
         return SendClaim(Claim(role=self.role, instance=self.instance, pid=pid, critic_endpoint=self.critic_endpoint))
 
     def forget(self, pid: str, now: float) -> None:
-        """The work on a sub-task was ended here: claim again what is held or kept of it."""
+        """Drop a sub-task whose work ended here, and claim again."""
         for place in self._places:
             if pid in (place.held, place.kept):
                 place.held, place.kept, place.next_try = None, None, now
 
     def discount_blocked_time(self, since: float, now: float) -> None:
-        """Do not count time in which this process was blocked as silence of the coordinator."""
+        """Do not count time this process was blocked as coordinator silence."""
         self._last_message = min(now, self._last_message + now - since)
         self._remind_at += now - since
 
     def receive(self, now: float, message: Message) -> list[Action]:
-        """A message from the coordinator arrived."""
+        """Process a message from the coordinator."""
         self._last_message = now
         self._remind_at = now + REMINDER_S
         if isinstance(message, Granted):
@@ -206,7 +204,7 @@ class WorkerState:
         return next(iter(matching + open_places), None)
 
     def _stop_kept(self, place: _Place, reason: str) -> list[Action]:
-        """End the work on what a place kept."""
+        """Stop the work that a place kept."""
         kept, place.kept = place.kept, None
         return [] if kept is None or kept in self.held else [StopWork(kept, f"{kept} is over here: {reason}")]
 
@@ -247,7 +245,7 @@ class WorkerState:
 
 
 def _wants_the_same(place: _Place, granted: Granted) -> bool:
-    """Whether a place is for the sub-task just granted to another: given twice, or by name and by number."""
+    """Whether a place wants the sub-task just granted to another."""
     return place.wanted is not None and (place.held == granted.pid or place.wanted in (granted.pid, granted.asked))
 
 

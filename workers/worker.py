@@ -1,7 +1,7 @@
-"""The worker process: one loop that learns (or evaluates), reports to the coordinator, and takes its answers.
+"""The worker process: a loop that learns or evaluates, and talks to the coordinator.
 
-A place is claimed before torch and the environments are imported, which takes seconds: a refusal comes at once. A
-thread of its own serves the connection to the coordinator, so that leases are renewed whatever the loop does.
+It claims a place before importing torch and the environments, so that a refusal comes at once. A separate thread renews
+its leases whatever the loop does.
 """
 
 from __future__ import annotations
@@ -50,15 +50,12 @@ if TYPE_CHECKING:
 SYNC_INTERVAL_S = 0.2
 IDLE_POLL_S = 0.05
 LAST_SEND_S = 2.0
-LAST_ANSWERS_S = 5.0  # counts told but not answered are told again by a resume
+LAST_ANSWERS_S = 5.0  # a resume repeats counts that were reported but not answered
 STOPPED = 130
 
 
 class Worker:
     """Holds leases and works under them until the run is over.
-
-    Args:
-        options: how it was started.
 
     Raises:
         ConfigError: if an endpoint cannot be used.
@@ -112,10 +109,10 @@ class Worker:
         return CriticService(self._context, endpoint, advertise=told, insecure=connection.insecure, own=own, tell=say)
 
     def run(self) -> int:
-        """Work until the run is over (exit code 0), nothing can be done (2), or a signal says stop (130).
+        """Work until the run is over (exit code 0), work is impossible (2), or a signal stops it (130).
 
         Raises:
-            TrustError: if the coordinator wants code to be run and may be anybody.
+            TrustError: if the coordinator has no keys and its task names untrusted code.
             EnvError: if the task's environment fails.
         """
         install_signal_handlers(self._interrupt)
@@ -130,7 +127,7 @@ class Worker:
         return self._exit.code if self._exit is not None else STOPPED
 
     def name(self) -> str:
-        """The sub-tasks held, or this worker's own name; see ``Loop``."""
+        """The held sub-tasks, or this worker's name; see ``Loop``."""
         return ", ".join(self._state.held) or self._options.instance
 
     def progress(self) -> Hashable:
@@ -140,14 +137,14 @@ class Worker:
         return self._turns, steps, sum(learner.gradient_steps for learner in learners)
 
     def where(self) -> str:
-        """Which call the loop is in; see ``Loop``."""
+        """The call the loop is in; see ``Loop``."""
         return place_of(self._loop_thread)
 
     def _interrupt(self, *_: object) -> None:
         self._interrupted = True
 
     def _end_work(self) -> None:
-        """Tell the coordinator the rest, give everything back, and keep what was learned."""
+        """Report the rest, release all leases, and write last checkpoints."""
         sessions = list(self._sessions.values())
         syncs = [session.last_sync() for session in sessions]
         sent = [self._send(sync.message, sync.arrays) for sync in syncs]
@@ -160,7 +157,7 @@ class Worker:
             self._checkpoints.write_last(sessions)
 
     def _hear_answers(self, sessions: Sequence[LearnerSession]) -> None:
-        """Wait a moment for the answers to the last messages."""
+        """Wait briefly for the last replies."""
         deadline = time.monotonic() + LAST_ANSWERS_S
         while (left := deadline - time.monotonic()) > 0 and not all(session.is_answered for session in sessions):
             arrival = self._control.receive(left)
@@ -190,14 +187,14 @@ class Worker:
             self._checkpoints.write_due(self._sessions.values())
 
     def _discount_stops(self, now: float) -> None:
-        """Do not count time in which this process was stopped as the coordinator's silence."""
+        """Do not count time this process was stopped as coordinator silence."""
         stopped_s = self._control.stopped_s()
         if stopped_s > self._stopped_s:
             self._state.discount_blocked_time(now - (stopped_s - self._stopped_s), now)
             self._stopped_s = stopped_s
 
     def _take_outcome(self, outcome: Outcome) -> None:
-        """Give up when the coordinator will not talk to this worker; tell what else keeps a connection away, once."""
+        """Give up if the coordinator rejects this worker; report other problems once."""
         text = trouble(outcome, self._connection.coordinator, self._keys)
         if text is not None and outcome != "broken":
             self._exit = Exit(2, text)
@@ -206,14 +203,14 @@ class Worker:
             say(text)
 
     def _evaluate(self) -> bool:
-        """A slice of the evaluation under way, be it this worker's work or between its learners' turns."""
+        """Run a slice of the evaluation."""
         if self._evaluation is None or not self._evaluation.busy:
             return self._stand_in.turn()
         self._evaluation.advance()
         return True
 
     def _learn(self) -> bool:
-        """One roll-out of every learner that can start; False if none can."""
+        """One rollout of every learner that can start; False if none can."""
         self._peer_registry.pull_experience()
         trained = []
         for pid, session in self._sessions.items():
@@ -307,7 +304,7 @@ class Worker:
             check_trust(granted, self._connection.coordinator, given=self._connection.trust)
 
     def _end_those_of_another_training(self, granted: Granted) -> None:
-        """Learners that outlived their coordinator are of no use to one that trains something else."""
+        """End kept learners that the new training cannot use."""
         for pid, session in list(self._sessions.items()):
             if not session.can_go_on_under(granted):
                 say(f"{pid} is over here: the coordinator trains another task now, or with another seed or settings")
@@ -316,7 +313,7 @@ class Worker:
                     self._state.forget(pid, time.monotonic())
 
     def _open_sessions(self) -> None:
-        """Start work under the leases that wait for it, as soon as everything is loaded."""
+        """Start work under waiting leases once imported."""
         if not self._waiting or not self._imports.ready():
             return
         for pid, lease in self._waiting.items():
@@ -357,7 +354,7 @@ class Worker:
 
 
 def _was_taken(sent: Future[bool]) -> bool:
-    """Whether a message has left for the coordinator; waits a moment for that."""
+    """Whether a message was sent; waits briefly for it."""
     try:
         return sent.result(LAST_SEND_S)
     except FutureTimeoutError:

@@ -1,6 +1,6 @@
-"""The live dashboard: a page drawn from one ``DashboardState``, a plain line of the same, and their display.
+"""The live dashboard: draws a ``DashboardState`` as a page or a plain line.
 
-Drawing is pure: all time comes in the state. ``LiveDashboard`` alone touches a terminal.
+Drawing is pure: all times come from the state. Only ``LiveDashboard`` touches a terminal.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ LAST_WORDS_S = 1.0
 
 @dataclass(frozen=True)
 class _Page:
-    """Draws its body on exactly ``width`` x ``height`` cells, whatever the body would like."""
+    """Draws its body on exactly ``width`` x ``height`` cells."""
 
     body: RenderableType
     width: int
@@ -52,7 +52,7 @@ class _Page:
 
 @dataclass(frozen=True)
 class _Plan:
-    """Heights of the page's sections in lines, frames included; 0: the section is left out."""
+    """Heights of the sections in lines, with frames; 0 omits one."""
 
     framed: bool
     with_formula: bool
@@ -64,7 +64,7 @@ class _Plan:
 
     @property
     def frame(self) -> int:
-        """Lines that the frame of a section takes."""
+        """Lines taken by a section's frame."""
         return 2 if self.framed else 1
 
 
@@ -93,7 +93,7 @@ def _section(title: str, body: RenderableType, framed: bool) -> RenderableType:
 
 
 def _middle(state: DashboardState, width: int, plan: _Plan) -> Layout:
-    """The Q table at the left, the last evaluation and the curves at the right."""
+    """The Q-table beside the last evaluation and the curves."""
     side = 4 if plan.framed else 1
     q_width = tables.q_width(state, max(20, width - 26 - 2 * side))
     right = width - q_width - side
@@ -110,7 +110,7 @@ def _middle(state: DashboardState, width: int, plan: _Plan) -> Layout:
 
 
 def render(state: DashboardState, *, width: int, height: int) -> RenderableType:
-    """The whole page for a terminal of ``width`` x ``height`` cells; below 60 x 12 it is the plain line."""
+    """The page for a terminal of ``width`` x ``height`` cells; below 60 x 12, the plain line."""
     if width < SMALLEST[0] or height < SMALLEST[1]:
         return _Page(Text(plain_line(state)), width, height)
     plan = _plan(state, width, height)
@@ -134,7 +134,7 @@ def _sized(section: RenderableType, height: int) -> list[Layout]:
 
 
 def summary(state: DashboardState, *, width: int) -> RenderableType:
-    """What stays on the screen after the run: header, learners and the last evaluation."""
+    """What stays on screen after the run: header, learners, last evaluation and result."""
     rows = len(state.learners)
     return Group(
         _section(f"{state.task}: {state.title}", panels.header(state, width, True), False),
@@ -146,7 +146,7 @@ def summary(state: DashboardState, *, width: int) -> RenderableType:
 
 
 def plain_line(state: DashboardState) -> str:
-    """The state in one line without any control code, for logs and pipes."""
+    """The state in one line without control codes, for logs and pipes."""
     budget = f"/{count(state.max_interactions)}" if state.max_interactions > 0 else ""
     success = panels.success(state.evaluations[-1]) if state.evaluations else "not evaluated"
     parts = [
@@ -165,7 +165,7 @@ def plain_line(state: DashboardState) -> str:
 
 
 def _result(state: DashboardState) -> str:
-    """What a run that is over came to, in a few words."""
+    """The result of a finished run."""
     if state.solved_at is not None:
         return f"solved after {count(state.solved_at)}, {count(state.interactions)} in all"
     over = state.phase not in panels.RUNNING
@@ -177,16 +177,15 @@ def _lost(state: DashboardState) -> frozenset[str]:
 
 
 class LiveDashboard:
-    """Shows states on a console until it is left; a terminal that fails ends the dashboard alone.
+    """Shows states on a console; a terminal failure ends only the dashboard.
 
-    Use as a context manager. On a terminal it draws on the alternate screen, at most four times a second,
-    gives the terminal back however the block ends, and leaves a summary on the normal screen. ``plain``
-    prints a line every ten seconds of the run instead, and at once when the phase changes or a learner is
-    lost; so does a console that is no terminal, or whose encoding has no block characters.
+    Use as a context manager. On a terminal it draws on the alternate screen, at most four times a second, always
+    restores the terminal, and prints a summary at the end. Otherwise it prints a line every ten seconds of the run, and
+    at once when the phase changes or a learner is lost.
 
     Args:
         console: where to draw.
-        plain: lines instead of pages.
+        plain: lines instead of pages; forced without a terminal or a Unicode encoding.
         clock: seconds, for the limit of four pages a second.
     """
 
@@ -231,10 +230,10 @@ class LiveDashboard:
             self._file = self._live = None
 
     def show(self, state: DashboardState) -> bool:
-        """Draws a state if one is due.
+        """Draw a state if one is due.
 
         Returns:
-            Whether the dashboard lives: False outside its ``with`` block and after the terminal has failed.
+            False outside the ``with`` block and after the terminal has failed, else True.
         """
         if self._file is None or self._file.broken:
             return False
@@ -275,13 +274,13 @@ class LiveDashboard:
 
 
 def _line_due(last: DashboardState, state: DashboardState) -> bool:
-    """Whether a new plain line is worth printing, given the one printed last."""
+    """Whether to print another plain line after ``last``."""
     waited = state.elapsed_s - last.elapsed_s
     return state.phase != last.phase or bool(_lost(state) - _lost(last)) or not 0 <= waited < PLAIN_EVERY_S
 
 
 def export_svg(state: DashboardState, path: Path | str, width: int, height: int) -> None:
-    """Writes the page of a state as an SVG picture of ``width`` x ``height`` cells.
+    """Write a state's page as an SVG image of ``width`` x ``height`` cells.
 
     Raises:
         OSError: if the file cannot be written.

@@ -1,6 +1,6 @@
-"""The smaller parts of the dashboard: header, last evaluation with its curves, events.
+"""The dashboard's panels: header, last evaluation with curves, events.
 
-Each function draws one part of a ``DashboardState`` for a given room in terminal cells.
+Each function draws one part of a ``DashboardState`` into a given size in terminal cells.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ CHART_LABEL = 14
 
 
 def steps_per_s(state: DashboardState) -> float:
-    """Interactions per second of all learners now, or over the whole run where none reports any."""
+    """Current interactions per second; the run's average if no learner reports any."""
     now = sum(row.rates.get("interactions", 0.0) for row in state.learners)
     if now > 0 or state.elapsed_s <= 0:
         return now
@@ -36,7 +36,7 @@ def steps_per_s(state: DashboardState) -> float:
 
 
 def budget_left_s(state: DashboardState) -> float | None:
-    """Seconds until the budget is spent at the present rate; None without a budget, a rate or a live run."""
+    """Seconds until the budget is spent; None without a budget, a rate or a live run."""
     speed = steps_per_s(state)
     if state.phase not in RUNNING or state.max_interactions <= 0 or not speed > 0:
         return None
@@ -44,9 +44,9 @@ def budget_left_s(state: DashboardState) -> float | None:
 
 
 def header(state: DashboardState, width: int, with_formula: bool, lacks: int = 0) -> RenderableType:
-    """Phase, time, budget and the way to five full evaluations: three lines, a fourth with the formula.
+    """Status, budget and consecutive successes, one line each, and optionally the formula.
 
-    Below them what is missing, in up to ``lacks`` lines.
+    Up to ``lacks`` more lines list what is missing.
     """
     lines: list[RenderableType] = [_status_line(state), _budget_line(state, width), _solved_line(state)]
     if with_formula:
@@ -56,7 +56,7 @@ def header(state: DashboardState, width: int, with_formula: bool, lacks: int = 0
 
 
 def missing(state: DashboardState, rows: int) -> list[Text]:
-    """What is missing, each with the command that brings it, in at most so many lines; what is needed comes first."""
+    """What is missing and the commands that start it, in at most ``rows`` lines."""
     lines = [line(lack.text, "bold yellow" if lack.needed else "dim") for lack in state.missing]
     if len(lines) <= rows:
         return lines
@@ -91,18 +91,18 @@ def _budget_line(state: DashboardState, width: int) -> Text:
 
 
 def row_so_far(state: DashboardState) -> str:
-    """How many evaluations in a row succeeded, such as 2/5 in a row; from which rate on, if not 100 %."""
+    """Consecutive successes, such as 2/5 in a row, and the threshold if not 100 %."""
     needed = "" if state.success_needed == 1 else f" at {percent_text(state.success_needed)}"
     return f"{state.solved_in_a_row}/{state.solved_needed} in a row{needed}"
 
 
 def success(row: EvaluationRow) -> str:
-    """The success rate of an evaluation, and its mode if that is not the usual, greedy one."""
+    """An evaluation's success rate, and its mode if it is not greedy."""
     return percent(row.success_rate) + (" sampled" if row.actions == "sampled" else "")
 
 
 def result(state: DashboardState) -> str:
-    """What the run came to so far: how the task was solved, and the best policy."""
+    """The result so far: when the task was solved, and the best policy."""
     told = []
     if state.solved_at is not None:
         told.append(solved_text(state.solved_at, state.interactions, state.solved_needed))
@@ -125,7 +125,7 @@ def _solved_line(state: DashboardState) -> Text:
 
 
 def path_text(state: DashboardState, width: int) -> Text:
-    """The path of the last evaluation, such as q0 → q3 → q7 (accepting), its middle left out if too long."""
+    """The last evaluation's path, such as q0 → q3 → q7 (accepting), shortened to fit."""
     path = last_path(state)
     names = [(f"q{q}", _state_style(state, q)) for q in path]
     end = path[-1] if path else None
@@ -154,7 +154,7 @@ def _distance_line(state: DashboardState, width: int) -> Text:
 
 
 def evaluation(state: DashboardState, width: int, height: int) -> RenderableType:
-    """Path and distance of the last evaluation, then success and length over all of them as curves."""
+    """Path and distance of the last evaluation, then curves of success and length over all."""
     if not state.evaluations:
         return line("no evaluation yet", "dim")
     last = state.evaluations[-1]
@@ -177,7 +177,7 @@ def evaluation(state: DashboardState, width: int, height: int) -> RenderableType
 def _chart(
     labels: tuple[str, str, str], values: list[float], width: int, height: int, top: float, style: str
 ) -> list[Text]:
-    """A curve with its name, newest value and scale at its left, as far as its height has room for them."""
+    """A curve with name, newest value and scale on the left, if they fit."""
     name, newest, scale = labels
     notes = [f"{name} {newest}"] if height == 1 else [name, newest] if height == 2 else [name, newest, scale]
     rows = curve(values, width - CHART_LABEL, height, top)
@@ -189,7 +189,7 @@ def _chart(
 
 
 def events(state: DashboardState, rows: int) -> RenderableType:
-    """The last events, the newest at the bottom."""
+    """The last events, newest at the bottom."""
     newest = state.events[-rows:] if rows > 0 else []
     if not newest:
         return line("nothing yet", "dim")

@@ -1,7 +1,7 @@
-"""The two tables of the dashboard: the learners, and the high-level Q over DFA states and sub-tasks.
+"""The dashboard's tables: learners, and the high-level Q over DFA states and sub-tasks.
 
-Each function draws a ``DashboardState`` for a given room in terminal cells. Colours are the plain green, red,
-cyan and magenta of the terminal's own palette, legible on dark and on light ground.
+Each function draws a ``DashboardState`` into a given size in terminal cells. Colours are legible on dark and light
+backgrounds.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ FORMATS: Mapping[Format, Callable[[float], str]] = {
 
 
 def age_style(age_s: float | None) -> str:
-    """Colour of a heartbeat's age in seconds: green when fresh, magenta from 2 s, red from 10 s."""
+    """Colour of a heartbeat's age in seconds: green, magenta from 2 s, red from 10 s."""
     if age_s is None:
         return "dim"
     return "green" if age_s < 2 else "magenta" if age_s < 10 else "bold red"
@@ -53,7 +53,7 @@ def _success_style(share: float | None) -> str:
 
 @dataclass(frozen=True)
 class _Column:
-    """A column of the learners' table, shown from a page width of ``needs`` cells on."""
+    """A column of the learners' table, shown from a width of ``needs``."""
 
     title: str
     needs: int
@@ -62,7 +62,7 @@ class _Column:
 
 
 def _learner_columns(width: int) -> list[_Column]:
-    """Who learns, then all statistics with a column, then what the coordinator knows itself."""
+    """Columns of the learner, its statistics, and the coordinator's own data."""
     columns = [
         _Column("pid", 0, lambda r: line(clip(r.pid, PID_CELLS), "bold"), left=True),
         _Column("phase", 0, lambda r: line(r.phase, LEARNER_STYLE[r.phase]), left=True),
@@ -89,7 +89,7 @@ def _statistic_column(name: str, view: View, width: int) -> _Column:
 
 
 def learners(state: DashboardState, width: int, rows: int) -> RenderableType:
-    """One row per learner under one line of titles; a last line counts those without room."""
+    """One row per learner; a last line counts those that do not fit."""
     columns = _learner_columns(width)
     table = Table(box=None, padding=(0, 1 if width < 120 else 2, 0, 0), pad_edge=False, header_style="dim")
     for column in columns:
@@ -107,28 +107,27 @@ def _text(cell: str | Text) -> Text:
 
 
 def dist(state: DashboardState, q: int) -> float | None:
-    """The dist of q; None where acceptance cannot be reached or q is unknown."""
+    """The dist of q; None if acceptance is unreachable or q unknown."""
     found = state.dist[q] if 0 <= q < len(state.dist) else None
     return found if found is not None and math.isfinite(found) else None
 
 
 def dist_text(state: DashboardState, q: int) -> str:
-    """The dist of q as short as it can be said."""
+    """The dist of q as short text."""
     found = dist(state, q)
     return UNKNOWN if found is None else f"{found:.1f}".removesuffix(".0")
 
 
 def last_path(state: DashboardState) -> list[int]:
-    """The DFA states of the last evaluation's first episode, repeats in a row told once."""
+    """The DFA states of the last evaluation's first episode, without consecutive repeats."""
     path = state.evaluations[-1].dfa_path if state.evaluations else []
     return [q for q, _ in groupby(path)]
 
 
 def q_rows(state: DashboardState, rows: int) -> tuple[list[int], int]:
-    """At most ``rows`` DFA states with known values, and how many others there are.
+    """At most ``rows`` DFA states with known values, and the number of others.
 
-    First come those on the last evaluation's path, then those with the most known values; the answer is in
-    the order of their numbers.
+    It prefers states on the last evaluation's path, then those with most known values; the result is sorted by number.
     """
     known: dict[int, int] = {}
     for cell in state.q_table:
@@ -139,7 +138,7 @@ def q_rows(state: DashboardState, rows: int) -> tuple[list[int], int]:
 
 
 def q_columns(state: DashboardState, width: int) -> tuple[dict[str, int], int]:
-    """The pids whose columns fit into ``width`` with the width of each, and how many do not fit."""
+    """The pids whose columns fit into ``width``, with widths, and the number of others."""
     cells: dict[str, list[QCell]] = {row.pid: [] for row in state.learners}
     for cell in state.q_table:
         cells.setdefault(cell.pid, []).append(cell)
@@ -155,13 +154,13 @@ def q_columns(state: DashboardState, width: int) -> tuple[dict[str, int], int]:
 
 
 def q_width(state: DashboardState, most: int) -> int:
-    """Cells that the Q table wants, at most ``most``."""
+    """Width of the Q-table in cells, at most ``most``."""
     columns, _ = q_columns(state, most)
     return min(most, max(34, 9 + sum(columns.values()) + len(columns)))
 
 
 def q_table(state: DashboardState, width: int, height: int) -> RenderableType:
-    """Q(q, pid) as a matrix, unknown entries blank, the greedy choice of a row in bold with a star."""
+    """Q(q, pid) as a matrix: unknown entries blank, greedy choices bold and starred."""
     if not state.q_table:
         return line("no DFA state change seen yet", "dim")
     columns, more_pids = q_columns(state, width)

@@ -1,4 +1,4 @@
-"""A file to draw on that never raises and never blocks for long, however slow or dead its reader."""
+"""A console file that never raises or blocks for long."""
 
 from __future__ import annotations
 
@@ -10,15 +10,14 @@ from typing import IO
 
 FLUSH_WAIT_S = 0.05
 MOST_PENDING = 1 << 16
-AT_ONCE = 4096  # a pipe that select calls writable takes as much without blocking
+AT_ONCE = 4096  # a pipe that select reports writable takes this much without blocking
 
 
 class NonBlockingFile(io.TextIOBase):
-    """Wraps the text file of a console; once a write has failed it is ``broken`` and swallows everything.
+    """Wraps a console's text file; after a failed write it is ``broken`` and discards everything.
 
-    A terminal is opened a second time without blocking, so that one which stops reading (Ctrl-S, a hung
-    connection) leaves text ``pending`` instead of stopping the program. Pipes get what they can take. Both
-    are written to below Python's own buffers, which would complain of a broken pipe when the program ends.
+    It reopens a terminal without blocking: one that stops reading (Ctrl-S, a hung connection) leaves text ``pending``.
+    Pipes get what they can take. It bypasses Python's buffers, which would report a broken pipe at exit.
     """
 
     def __init__(self, file: IO[str]) -> None:
@@ -35,7 +34,7 @@ class NonBlockingFile(io.TextIOBase):
 
     @property
     def pending(self) -> bool:
-        """Whether text waits for the reader."""
+        """Whether text is waiting for the reader."""
         return bool(self._bytes)
 
     def isatty(self) -> bool:
@@ -51,17 +50,17 @@ class NonBlockingFile(io.TextIOBase):
         return True
 
     def write(self, text: str) -> int:
-        """Takes text in; beyond 64 KiB of pending bytes it is dropped."""
+        """Queue text; drops it beyond 64 KiB of pending bytes."""
         if not self.broken and len(self._bytes) < MOST_PENDING:
             self._bytes += text.encode(self.encoding, errors="replace")
         return len(text)
 
     def flush(self) -> None:
-        """Hands out as much as the reader takes within 50 ms."""
+        """Write as much as the reader takes within 50 ms."""
         self.drain(FLUSH_WAIT_S)
 
     def drain(self, wait_s: float) -> None:
-        """Hands out pending text for at most ``wait_s`` seconds."""
+        """Write pending text for at most ``wait_s`` seconds."""
         deadline = time.monotonic() + wait_s
         try:
             while self._bytes and not self.broken and self._ready(max(0.0, deadline - time.monotonic())):
@@ -71,7 +70,7 @@ class NonBlockingFile(io.TextIOBase):
             self._bytes = b""
 
     def release(self) -> None:
-        """Closes what this object opened itself; the wrapped file stays open."""
+        """Close the reopened terminal; the wrapped file stays open."""
         if self._own is not None:
             os.close(self._own)
             self._own = None
@@ -101,7 +100,7 @@ def _descriptor(file: IO[str]) -> int | None:
 
 
 def _open_terminal(file: IO[str]) -> int | None:
-    """A second, non-blocking descriptor of the terminal behind a file; None where there is no terminal."""
+    """A second, non-blocking descriptor of a file's terminal, or None."""
     try:
         file.flush()
         if not file.isatty():

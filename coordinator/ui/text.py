@@ -1,4 +1,4 @@
-"""How single numbers, texts, bars and curves of the dashboard are written; nothing here knows the run."""
+"""Formats numbers, texts, bars and curves for the dashboard."""
 
 from __future__ import annotations
 
@@ -14,12 +14,12 @@ UNKNOWN = "-"
 
 
 def clean(text: str) -> str:
-    """The text with every unprintable character (escape codes, newlines, ...) as a space."""
+    """The text with unprintable characters (escape codes, newlines) as spaces."""
     return text if text.isprintable() else "".join(c if c.isprintable() else " " for c in text)
 
 
 def clip(text: str, width: int) -> str:
-    """The cleaned text in at most ``width`` terminal cells, cut with an ellipsis."""
+    """The cleaned text in at most ``width`` terminal cells, truncated with an ellipsis."""
     text = clean(text)
     if cell_len(text) <= width:
         return text
@@ -27,12 +27,12 @@ def clip(text: str, width: int) -> str:
 
 
 def line(text: str = "", style: str = "") -> Text:
-    """A ``Text`` that stays on one line and knows no markup."""
+    """A one-line ``Text`` without markup."""
     return Text(clean(text), style=style, no_wrap=True, overflow="ellipsis", end="\n")
 
 
 def spaced(*parts: tuple[str, str]) -> Text:
-    """One line of (text, style) parts with two spaces between them; empty parts are left out."""
+    """One line of (text, style) parts, separated by two spaces; skips empty parts."""
     return Text("  ", no_wrap=True, overflow="ellipsis").join(
         [Text(clean(text), style=style) for text, style in parts if text]
     )
@@ -44,19 +44,19 @@ def count(number: int) -> str:
 
 
 def rate(per_second: float) -> str:
-    """A rate in at most seven cells as long as it is below ten million."""
+    """A rate in at most seven cells below ten million."""
     if not math.isfinite(per_second):
         return UNKNOWN
     return f"{per_second:,.1f}" if 0 < abs(per_second) < 10 else f"{per_second:,.0f}"
 
 
 def percent(share: float | None) -> str:
-    """A share in 0..1 as percent; unknown or not finite: a dash."""
+    """A share in 0..1 as a percentage; a dash if unknown or not finite."""
     return UNKNOWN if share is None or not math.isfinite(share) else f"{100 * share:.0f}%"
 
 
 def duration(seconds: float | None) -> str:
-    """Seconds as ``h:mm:ss``, or as days from one hundred hours on."""
+    """Seconds as ``h:mm:ss``; days from one hundred hours."""
     if seconds is None or not math.isfinite(seconds):
         return UNKNOWN
     whole = max(0, int(seconds))
@@ -66,7 +66,7 @@ def duration(seconds: float | None) -> str:
 
 
 def value(number: float) -> str:
-    """A value of the Q table in about four cells."""
+    """A Q-table value in about four cells."""
     if not math.isfinite(number):
         return str(number)
     size = abs(number)
@@ -76,16 +76,16 @@ def value(number: float) -> str:
 
 
 def bar(share: float | None, width: int, style: str) -> Text:
-    """A bar of ``width`` cells, filled to ``share`` (cut to 0..1); empty where the share is unknown."""
+    """A bar of ``width`` cells, filled to ``share`` (0..1); empty if unknown."""
     known = share is not None and math.isfinite(share)
     filled = round(width * min(max(share or 0.0, 0.0), 1.0)) if known else 0
     return Text.assemble(("━" * filled, style), ("─" * (width - filled), "dim"))
 
 
 def resample(values: Sequence[float], width: int) -> list[float]:
-    """At most ``width`` numbers: each repeated up to three times if there is room, else means of neighbours.
+    """At most ``width`` numbers: each repeated up to three times if they fit, else bucket means.
 
-    Numbers that are not finite are skipped in the means; a bucket without any other is NaN.
+    Means skip non-finite numbers; a bucket without finite numbers is NaN.
     """
     n = len(values)
     if n == 0 or width <= 0:
@@ -104,8 +104,7 @@ def _finite_mean(values: Sequence[float]) -> float:
 def curve(values: Sequence[float], width: int, height: int, top: float) -> list[str]:
     """A bar chart in block characters from 0 to ``top``: ``height`` lines of at most ``width`` cells.
 
-    Every known value shows at least the lowest block, so that a zero differs from nothing; of one line
-    this is a sparkline.
+    Every finite value shows at least the lowest block, so zeros differ from gaps; one line is a sparkline.
     """
     eighths = [_eighths(v, top, 8 * height) for v in resample(values, width)]
     rows = range(height - 1, -1, -1)

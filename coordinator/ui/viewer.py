@@ -1,4 +1,4 @@
-"""Follows a coordinator's published state and shows it on the terminal."""
+"""Shows a coordinator's published state on the terminal."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ OVER = ("solved", "budget spent", "stopped")
 
 
 def wants_plain(console: Console) -> bool:
-    """Whether plain lines are asked for: no terminal, ``NO_COLOR``, or ``CI``."""
+    """Whether to print plain lines: no terminal, ``NO_COLOR``, or ``CI``."""
     return not console.is_terminal or bool(os.environ.get("NO_COLOR")) or bool(os.environ.get("CI"))
 
 
@@ -40,22 +40,22 @@ def watch(
 
     Args:
         context: the process's ZeroMQ context.
-        endpoint: where the coordinator publishes.
-        keep_going: asked several times a second; False ends the watching.
-        keys: of a coordinator that has keys.
-        console: where to draw; the process's terminal by default.
-        silence_s: seconds without a state after which to stop; None for no limit of its own.
+        endpoint: the coordinator's state endpoint.
+        keep_going: polled several times a second; False stops.
+        keys: this client's, if the coordinator has keys.
+        console: where to draw; by default the terminal.
+        silence_s: stop after this many seconds without a state.
 
     Returns:
         The last state seen.
 
     Raises:
-        RunError: if the coordinator refuses the keys, or wants some.
+        RunError: if the coordinator refuses the keys, or requires some.
     """
     console = console or Console()
     socket = subscribe(context, endpoint, keys, monitored=True)
     handshakes = HandshakeMonitor(socket)
-    errors = ErrorBoundary(lambda text: None)  # the traceback on stderr says it all
+    errors = ErrorBoundary(lambda text: None)  # the traceback on stderr suffices
     last: DashboardState | None = None
     heard = time.monotonic()
     try:
@@ -87,7 +87,7 @@ def _check_refusal(handshakes: HandshakeMonitor, endpoint: str, keys: ClientKeys
 
 
 def _newest(socket: Socket) -> DashboardState | None:
-    """The newest state waiting, or None after a short wait; older ones are dropped."""
+    """The newest waiting state; None after a short wait."""
     newest: DashboardState | None = None
     timeout = POLL_S
     while True:
@@ -106,9 +106,8 @@ class BackgroundViewer:
     """The dashboard in a thread, for the coordinator's own terminal.
 
     Args:
-        context: the process's ZeroMQ context.
-        endpoint: where the coordinator publishes.
-        keys: of a coordinator that has keys.
+        endpoint: the coordinator's state endpoint.
+        keys: this client's, if the coordinator has keys.
     """
 
     def __init__(self, context: Context, endpoint: str, keys: ClientKeys | None = None) -> None:

@@ -1,1 +1,1 @@
-"""The Python API: tasks, training and results without command lines or task files."""
+"""The Python API: tasks, training and results."""

@@ -1,4 +1,4 @@
-"""One line of progress for scripts and notebooks."""
+"""A progress line for scripts and notebooks."""
 
 from __future__ import annotations
 
@@ -16,9 +16,9 @@ PAUSE_S = 0.05
 
 
 def show_progress(handle: Handle, keep_going: Callable[[], bool]) -> None:
-    """Show interactions, success and evaluations in a row until the run is over.
+    """Show interactions, success and consecutive successes until the run is over.
 
-    Rich draws the line on a terminal and in a notebook; elsewhere it prints the last one only.
+    Rich draws the line on a terminal and in a notebook; elsewhere it prints only the last one.
     """
     columns = (TextColumn("{task.description}"), BarColumn(), TextColumn("{task.fields[told]}"), TimeElapsedColumn())
     with Progress(*columns, auto_refresh=False) as progress:

@@ -1,4 +1,4 @@
-"""What a training leaves behind, for programs."""
+"""The result of a training run."""
 
 from __future__ import annotations
 
@@ -22,10 +22,10 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class TrainingResult:
-    """The outcome of a training and where its files are.
+    """The outcome of a training run and its directory.
 
     Attributes:
-        run_dir: the run directory; ``t4nmtd evaluate``, ``record``, ``plot`` and ``train --resume`` take it.
+        run_dir: the run directory, for ``t4nmtd evaluate``, ``record``, ``plot`` and ``train --resume``.
         summary: the contents of its ``summary.json``.
     """
 
@@ -34,7 +34,7 @@ class TrainingResult:
 
     @classmethod
     def of(cls, run_dir: Path) -> TrainingResult:
-        """The result of a run that has ended.
+        """The result of a finished run.
 
         Raises:
             RunError: if it has no summary.
@@ -48,12 +48,12 @@ class TrainingResult:
 
     @property
     def solved(self) -> bool:
-        """Whether the last evaluations in a row all succeeded."""
+        """Whether enough consecutive evaluations succeeded."""
         return bool(self.summary["solved"])
 
     @property
     def interactions(self) -> int:
-        """Environment steps before the first of the evaluations that solved the task; of the whole run if none did."""
+        """Environment steps before the first of the solving evaluations; of the whole run if unsolved."""
         return int(self.summary["interactions"])
 
     @cached_property

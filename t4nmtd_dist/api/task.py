@@ -1,4 +1,4 @@
-"""A task as a Python object: a formula, an environment and a labelling function, or what a task file says."""
+"""A task as a Python object: formula, environment and labelling function, or a task file."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ Settings = Mapping[str, Any]
 
 
 class Task:
-    """What is to be learned. A task file and a ``Task`` lead to the same settings.
+    """A task to train; equivalent to a task file.
 
     Example::
 
@@ -33,19 +33,19 @@ class Task:
 
     Args:
         formula: LTLf over the propositions.
-        env: a function that makes the environment, or a registered Gymnasium id.
-        labels: from an observation (as the environment returned it) and info to the names of what holds after a
-            step. Without it, the environment reports ``info["labels"]``.
-        horizon: steps of an evaluated episode; needed unless the id is registered with a limit.
-        propositions: everything that may be reported; by default the names in the formula.
+        env: a function that creates the environment, or a registered Gymnasium id.
+        labels: maps a step's observation (as the environment returned it) and info to the names that hold; default
+            ``info["labels"]``.
+        horizon: steps of an evaluated episode; required unless the id is registered with a limit.
+        propositions: all reportable names; by default those in the formula.
         name: for the run directory.
-        settings: any other settings of a task file, nested or with dotted keys: ``{"learner.gamma": 0.95}``.
+        settings: other task-file settings, nested or with dotted keys: ``{"learner.gamma": 0.95}``.
 
     Attributes:
-        config: the settings, with all defaults filled in.
+        config: the settings with all defaults.
 
     Raises:
-        ConfigError: for a setting that is unknown or out of range, or a missing horizon.
+        ConfigError: for an unknown setting, one out of range, or a missing horizon.
         FormulaError: if the formula cannot be parsed, or uses an undeclared name.
     """
 
@@ -79,8 +79,8 @@ class Task:
         """A bundled task (``"task7"``), or the task of a file (``"my_task.toml"``).
 
         Args:
-            name: the name or the path.
-            settings: laid over those of the file.
+            name: name or path.
+            settings: override those of the file.
 
         Raises:
             ConfigError: if there is no such task, or a setting is wrong.
@@ -97,7 +97,7 @@ class Task:
 
     @property
     def needs_this_process(self) -> bool:
-        """Whether its functions exist in this process only, so that other programs cannot import them."""
+        """Whether other programs cannot import its functions."""
         environment = self.config.environment
         return is_given(environment.id) or is_given(environment.labels)
 
@@ -112,7 +112,7 @@ class Task:
 
 
 def _nested(settings: Settings) -> dict[str, Any]:
-    """Settings with dotted keys taken apart: {"learner.gamma": 0.9} -> {"learner": {"gamma": 0.9}}."""
+    """Expand dotted keys: {"learner.gamma": 0.9} -> {"learner": {"gamma": 0.9}}."""
     nested: dict[str, Any] = {}
     for key, value in settings.items():
         first, dot, rest = key.partition(".")
@@ -122,7 +122,7 @@ def _nested(settings: Settings) -> dict[str, Any]:
 
 
 def _setting(function: Callable[..., Any]) -> str:
-    """``module:name`` if other processes can import it; otherwise a name that stands for it in this process."""
+    """``module:name`` if importable elsewhere; otherwise a name valid in this process."""
     module, name = getattr(function, "__module__", None), getattr(function, "__qualname__", "")
     loaded = sys.modules.get(module or "")
     importable = module not in (None, "__main__") and getattr(loaded, name, None) is function
@@ -130,7 +130,7 @@ def _setting(function: Callable[..., Any]) -> str:
 
 
 def _folders(functions: Sequence[Callable[..., Any]]) -> list[str]:
-    """Where the modules of importable functions are, for processes with another ``sys.path``."""
+    """Folders of importable functions' modules, for other processes."""
     folders = []
     for function in functions:
         module = sys.modules.get(getattr(function, "__module__", ""))
@@ -143,7 +143,7 @@ def _folders(functions: Sequence[Callable[..., Any]]) -> list[str]:
 
 
 def _registered_limit(env: EnvFactory | str) -> int:
-    """The time limit with which an id is registered.
+    """The registered time limit of an id.
 
     Raises:
         ConfigError: if there is none.

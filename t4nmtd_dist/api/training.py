@@ -1,4 +1,4 @@
-"""Train a task from a Python program or a notebook."""
+"""Trains a task from a Python program or a notebook."""
 
 from __future__ import annotations
 
@@ -50,24 +50,25 @@ def train(
         print(result, result.policy.act(observation, {"left"}))
 
     Args:
-        task: a ``Task``, or what ``Task.load`` takes.
+        task: a ``Task``, or an argument of ``Task.load``.
         seed: of networks, exploration and environments.
-        serial: one process in lock-step, bit-reproducible, in place of one process per sub-task.
-        workers: how many processes learn; None for one per sub-task.
-        max_interactions: budget of environment steps of all learners together; None for the task's own.
-        run_dir: folder of the run; None for ``runs/NAME/UTC-sSEED``.
-        resume: continue the stopped run in ``run_dir``; task and seed must be those of that run.
+        serial: one lock-step, bit-reproducible process instead of one per sub-task.
+        workers: number of learner processes; None for one per sub-task.
+        max_interactions: budget of all learners' environment steps; None for the task's own.
+        run_dir: run directory; None for ``runs/NAME/UTC-sSEED``.
+        resume: continue the stopped run in ``run_dir``; task and seed must be the same.
         device: where the networks are trained.
-        progress: show one line of progress.
-        launcher: a name of ``core.registry.LAUNCHERS``; None for ``serial`` or, on Linux, ``forked``.
+        progress: show a progress line.
+        launcher: a key of ``core.registry.LAUNCHERS``; None for ``serial`` if set, else ``forked`` on Linux and
+            ``local`` elsewhere.
 
     Returns:
-        The outcome, also of a run that was interrupted.
+        The outcome, also of an interrupted run.
 
     Raises:
         ConfigError: if the arguments contradict each other or the task.
-        EnvError: if the environment does not do what the method needs; the text says what and how to mend it.
-        RunError: if ``run_dir`` holds a run already, or a process of the run cannot go on.
+        EnvError: if the environment does not meet the method's requirements.
+        RunError: if ``run_dir`` already holds a run, or a process cannot continue.
     """
     task = Task.load(task) if isinstance(task, str) else task
     name = launcher or (SERIAL if serial else "forked" if sys.platform == "linux" else "local")
@@ -98,7 +99,7 @@ def _check(task: Task, launcher: str, serial: bool) -> None:
 
 
 def _resumed(task: Task, options: RunOptions, launcher: str) -> RunPlan:
-    """The plan to continue a run of this very task.
+    """The plan to continue a run of this task.
 
     Raises:
         ConfigError: if no run is named, or it is of another task.
@@ -119,7 +120,7 @@ def _resumed(task: Task, options: RunOptions, launcher: str) -> RunPlan:
 
 @contextmanager
 def _named_task(plan: RunPlan, options: RunOptions, launcher: str) -> Iterator[RunOptions]:
-    """Options that name the task by a file, for launchers whose coordinator has to read it."""
+    """Options naming a task file, for coordinators that must read one."""
     if launcher in SHARES_OBJECTS or plan.resumes:
         yield options
         return

@@ -1,4 +1,4 @@
-"""``t4nmtd check``: does a task's environment do what training will ask of it?"""
+"""``t4nmtd check``: does a task's environment meet the requirements of training?"""
 
 from __future__ import annotations
 
@@ -22,10 +22,10 @@ USABLE, UNUSABLE = 0, 2
 
 
 def check(task: str, *, steps: int, seed: int, flags: Sequence[str], as_json: bool) -> int:
-    """Run the environment for a while and report; the exit code: 0 usable, 2 not.
+    """Run the environment with random actions and report; exit code 0 usable, 2 not.
 
     Raises:
-        T4NMTDError: if the task or its environment cannot even be opened, stepped or labelled.
+        T4NMTDError: if the task or its environment cannot be opened, stepped or labelled.
     """
     if steps < 1:
         raise ConfigError(f"--steps {steps}: expected at least one")
@@ -39,7 +39,7 @@ def check(task: str, *, steps: int, seed: int, flags: Sequence[str], as_json: bo
 
 
 def findings(task: CompiledTask, found: Diagnosis) -> dict[str, Any]:
-    """All that ``check`` shows, ready for JSON."""
+    """All that ``check`` shows, as JSON data."""
     return {
         "task": task.config.name,
         "usable": not found.problems,
@@ -113,7 +113,7 @@ def _facts(task: CompiledTask, found: Diagnosis) -> Table:
 
 
 def _numbers(found: Diagnosis) -> str:
-    """How many numbers learners see, and as what."""
+    """How many numbers learners observe, and in which form."""
     one_hot = sum(part.size for part in found.observations.parts if part.one_hot)
     size = sum(part.size for part in found.observations.parts)
     told = [f"{size} numbers"]

@@ -1,4 +1,4 @@
-"""The subcommands of ``t4nmtd`` as dataclasses; each imports what it needs only when it runs."""
+"""The subcommands of ``t4nmtd`` as dataclasses with lazy imports."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Scripts with which a shell completes verbs and options of the programs."""
+"""Prints shell completion scripts for the programs."""
 
 from __future__ import annotations
 
@@ -8,12 +8,12 @@ import tyro
 
 
 def print_completion(shell: str, program: str, *, verbs: Any) -> int:
-    """Print the script of a program for a shell.
+    """Print a program's completion script.
 
     Args:
         shell: ``bash``, ``zsh`` or ``fish``.
         program: ``t4nmtd``, ``t4nmtd-coordinator`` or ``t4nmtd-worker``.
-        verbs: what the command line of ``t4nmtd`` is read into.
+        verbs: the type that ``t4nmtd``'s command line is parsed into.
 
     Returns:
         Exit code.
@@ -23,7 +23,7 @@ def print_completion(shell: str, program: str, *, verbs: Any) -> int:
 
 
 def _command(program: str, verbs: Any) -> Any:
-    """What a program's command line is read into."""
+    """The type for a program's command line."""
     if program == "t4nmtd-coordinator":
         from t4nmtd_dist.cli.coordinator import CoordinatorCommand
 

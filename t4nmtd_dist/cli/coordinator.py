@@ -41,7 +41,7 @@ def main() -> None:
 
 
 def run(command: CoordinatorCommand) -> int:
-    """Run a coordinator; the exit code: 0 solved, 3 budget spent, 130 stopped, 2 usage."""
+    """Run a coordinator; exit code 0 solved, 3 budget spent, 130 stopped, 2 usage."""
     from t4nmtd_dist.core.errors import T4NMTDError
     from t4nmtd_dist.process.parent_watchdog import end_with_parent
 

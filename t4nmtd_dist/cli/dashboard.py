@@ -1,4 +1,4 @@
-"""``t4nmtd dashboard``: attach to a running coordinator."""
+"""``t4nmtd dashboard``: attaches to a running coordinator."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ def follow(endpoint: str, wait_s: float, *, keys: Path | None = None) -> int:
     """Show the dashboard until the run is over.
 
     Raises:
-        RunError: if nothing is published there for ``wait_s``, or not for us.
+        RunError: if no state arrives for ``wait_s`` seconds, or the coordinator refuses this client.
         KeyFileError: if the keys cannot be used.
     """
     context = new_context()
@@ -32,10 +32,10 @@ def follow(endpoint: str, wait_s: float, *, keys: Path | None = None) -> int:
 
 
 def save_picture(endpoint: str, wait_s: float, path: Path, width: int, height: int, *, keys: Path | None = None) -> int:
-    """Write the next published state as an SVG picture.
+    """Write the next published state as an SVG image.
 
     Raises:
-        RunError: if nothing is published there for ``wait_s``.
+        RunError: if no state arrives within ``wait_s`` seconds.
     """
     own = None if keys is None else load_client(keys)
     context = new_context()

@@ -1,4 +1,4 @@
-"""``t4nmtd doctor``: why a coordinator cannot be reached, step by step, and what to do about it."""
+"""``t4nmtd doctor``: diagnoses step by step why a coordinator cannot be reached."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ WELL, UNWELL = 0, 1
 
 @dataclass(frozen=True)
 class Finding:
-    """What one step of the examination found; ``advice`` says what to do where something is wrong."""
+    """The result of one diagnostic step; ``advice`` says how to fix a problem."""
 
     step: str
     verdict: Verdict
@@ -39,10 +39,10 @@ class Finding:
 
 
 def examine(endpoint: str, keys: Path | None, wait_s: float) -> int:
-    """Examine and print one line per step, up to the first failure.
+    """Run the diagnosis and print one line per step, up to the first failure.
 
     Returns:
-        0 if the coordinator can be worked with, else 1.
+        0 if the coordinator is usable, else 1.
     """
     worst = WELL
     for finding in findings(endpoint, keys, wait_s):
@@ -54,12 +54,12 @@ def examine(endpoint: str, keys: Path | None, wait_s: float) -> int:
 
 
 def findings(endpoint: str, keys: Path | None, wait_s: float) -> Iterator[Finding]:
-    """The examination's steps; the first that fails is the last.
+    """The diagnostic steps, up to the first failure.
 
     Args:
-        endpoint: where the coordinator should hear workers.
+        endpoint: the coordinator's control endpoint.
         keys: folder of a client's keys.
-        wait_s: seconds to wait for each answer.
+        wait_s: timeout of each answer in seconds.
     """
     host, port = split_endpoint(endpoint)
     address = _address(host)
@@ -168,7 +168,7 @@ def _talk(context: Context, endpoint: str, own: ClientKeys | None, wait_s: float
 def _disagreement(
     context: Context, endpoint: str, own: ClientKeys | None, wait_s: float, outcome: str | None
 ) -> Finding:
-    """Why a connection that stands could not be agreed upon."""
+    """Why the handshake over an established connection failed."""
     if outcome == "refused" and own is not None:
         text = f"the coordinator does not let in the key of {own.own.name} ({own.own.public})"
         return Finding("key", "FAILED", text, "on its machine: t4nmtd keys list DIR; then t4nmtd keys add DIR NAME")
@@ -238,7 +238,7 @@ def _round_trip(trips: list[float]) -> Finding:
 
 
 def _critics(status: Status, wait_s: float) -> Iterator[Finding]:
-    """Whether this machine reaches the learners that others will ask it to ask."""
+    """Whether this machine reaches the learners' critics."""
     for pid, endpoint in status.critics.items():
         host, port = split_endpoint(endpoint)
         if _listens(host, int(port), wait_s):

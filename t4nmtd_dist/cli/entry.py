@@ -1,4 +1,4 @@
-"""How the three commands read their command lines: ``--version`` comes before anything else."""
+"""Parses the three programs' command lines; handles ``--version`` first."""
 
 from __future__ import annotations
 
@@ -11,12 +11,12 @@ from t4nmtd_dist.core.version import __version__
 
 
 def parse(command: Any, program: str, description: str | None) -> Any:
-    """The command that the process was started with; ends the process for ``--version`` and ``--help``.
+    """Parse the command line; exits for ``--version`` and ``--help``.
 
     Args:
         command: a dataclass, or a union of them for subcommands.
         program: its name.
-        description: what the program is for; None for none.
+        description: of the program, or None.
     """
     if sys.argv[1:2] == ["--version"]:
         print(f"{program} {__version__}")
@@ -25,11 +25,7 @@ def parse(command: Any, program: str, description: str | None) -> Any:
 
 
 def check_verb(verbs: list[str]) -> None:
-    """End the process with a suggestion if the first word of the command line is no verb.
-
-    Args:
-        verbs: the subcommands.
-    """
+    """Exit with a suggestion if the first word is not a subcommand."""
     word = next(iter(sys.argv[1:]), "-")
     if word.startswith("-") or word in verbs:
         return

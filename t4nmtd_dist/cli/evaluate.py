@@ -1,4 +1,4 @@
-"""``t4nmtd evaluate``: episodes of an exported policy."""
+"""``t4nmtd evaluate``: plays episodes of an exported policy."""
 
 from __future__ import annotations
 
@@ -27,10 +27,11 @@ def evaluate(
     actions: ActionMode | None = None,
     trust: bool = False,
 ) -> int:
-    """Run episodes and print what they came to; without ``actions`` they are played as the export says.
+    """Play episodes and print the results; ``actions`` defaults to the export's mode.
 
     Raises:
-        TrustError: if the policy names code that the user does not trust.
+        ConfigError: if ``episodes`` or ``perturb`` is out of range.
+        TrustError: if the policy names untrusted code.
     """
     if episodes < 1 or perturb < 0:
         raise ConfigError(f"expected at least one episode and --perturb of 0 or more; got {episodes} and {perturb}")

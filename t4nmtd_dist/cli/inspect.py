@@ -1,4 +1,4 @@
-"""`t4nmtd inspect`: a task's automaton, potentials and sub-tasks, as a terminal page, JSON or SVG."""
+"""`t4nmtd inspect`: a task's automaton, potentials and sub-tasks, as text, JSON or SVG."""
 
 from __future__ import annotations
 
@@ -38,11 +38,11 @@ MOST_DRAWN = 600
 
 
 def formula_task(formula: str, flags: Sequence[str]) -> TaskConfig:
-    """A task that is a formula and settings, without an environment.
+    """A task from a formula and settings, without an environment.
 
     Args:
         formula: LTLf.
-        flags: ``key=value`` settings, as of a task.
+        flags: ``key=value`` settings.
 
     Raises:
         FormulaError: on a syntax error.
@@ -67,19 +67,19 @@ def run_inspect(
     summary: bool | None = None,
     seed: int = 0,
 ) -> None:
-    """Translate a task's formula and show what becomes of it.
+    """Translate a task's formula and show the result.
 
     Args:
-        task: any task, or the ``formula_task`` of a formula.
+        task: any task, or a ``formula_task``.
         console: where to print.
         translator: ``auto``, ``mona`` or ``python``.
-        as_json: print the inspection as one JSON object in place of the page.
-        svg: write a picture of the automaton to this file.
-        summary: print the summary in place of the page; None for automata of more than 60 states.
-        seed: of the random decomposition, as of a run; the other modes do not use it.
+        as_json: print one JSON object instead of the page.
+        svg: also draw the automaton to this file.
+        summary: print the summary instead of the page; None for automata of more than 60 states.
+        seed: of the random decomposition; unused by other modes.
 
     Raises:
-        T4NMTDError: if the formula, the settings or the file cannot be used, or the time is up.
+        T4NMTDError: if the formula, the settings or the file cannot be used, or the time limit passes.
     """
     settings = task.decomposition
     deadline = Deadline.after(settings.time_limit)
@@ -114,14 +114,14 @@ def inspection(
     acceptance: Acceptance = "first",
     deadline: Deadline | None = None,
 ) -> Inspection:
-    """All that ``inspect`` shows, ready for JSON.
+    """All that ``inspect`` shows, as JSON data.
 
     Returns:
-        ``acceptance`` (``first`` or ``end``), ``propositions``, ``states`` and ``transitions`` (how many),
-        ``initial``, ``accepting``, ``error``, ``edges`` (source, target and guard: a list of cubes, each a list of
-        literals), ``dist`` and ``potential`` (by state as text; dist is null where acceptance is out of reach), and
-        ``subtasks`` (pid to [[q, q'], ...]). Where ``exclusive`` makes the automaton smaller, ``reduced`` says how
-        many states and transitions are left; where sub-tasks were dropped, ``left_out`` names them.
+        ``acceptance`` (``first`` or ``end``), ``propositions``, ``states`` and ``transitions`` (counts), ``initial``,
+        ``accepting``, ``error``, ``edges`` (source, target and guard: a list of cubes, each a list of literals),
+        ``dist`` and ``potential`` (by state as text; dist is null if acceptance is unreachable), and ``subtasks`` (pid
+        to [[q, q'], ...]). If ``exclusive`` reduces the automaton, ``reduced`` has the remaining states and
+        transitions; if sub-tasks were dropped, ``left_out`` names them.
 
     Raises:
         ConfigError: if the deadline passes.
@@ -154,7 +154,7 @@ def _check_drawable(dfa: DFA) -> None:
 
 
 def _print_page(console: Console, title: str, formula: str, found: Inspection, summary: bool | None) -> None:
-    """The summary if it was asked for (True) or the automaton is large (None), else the full page."""
+    """Print the summary if requested or, by default, for large automata; else the full page."""
     if summary is False or (summary is None and found["states"] <= MOST_STATES):
         print_inspection(console, title, formula, found)
         return
@@ -165,7 +165,7 @@ def _print_page(console: Console, title: str, formula: str, found: Inspection, s
 
 
 def print_inspection(console: Console, title: str, formula: str, found: Inspection) -> None:
-    """Print an inspection as a page that is readable from 80 columns.
+    """Print an inspection as a page, readable from 80 columns.
 
     Args:
         console: where to print.
@@ -236,7 +236,7 @@ def _role(found: Inspection, q: int) -> str:
 
 
 def _edges(found: Inspection) -> Table:
-    """Every edge with one cube of its guard per line, and the sub-tasks that it belongs to."""
+    """Every edge with its sub-tasks; one guard cube per line."""
     table = _table("Transitions", "q", "q'", "guard", "sub-tasks", right=("q", "q'"))
     owning: dict[tuple[int, int], list[str]] = {}
     for pid, taus in found["subtasks"].items():
@@ -258,7 +258,7 @@ def _subtasks(found: Inspection) -> Table:
 
 
 def _targets(taus: Sequence[Sequence[int]]) -> str:
-    """``q → {q', ...}`` for every q that a sub-task has a transition out of."""
+    """``q → {q', ...}`` for every source q."""
     targets: dict[int, list[int]] = {}
     for q, to in sorted(map(tuple, taus)):
         targets.setdefault(q, []).append(to)

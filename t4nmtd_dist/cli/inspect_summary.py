@@ -1,4 +1,4 @@
-"""The short page of ``t4nmtd inspect``: an automaton of any size on one screen."""
+"""The summary of ``t4nmtd inspect``: an automaton of any size on one screen."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ BAR_WIDTH = 40
 
 
 def summary_lines(title: str, formula: str, found: Inspection, width: int) -> list[str]:
-    """The page, at most 40 lines.
+    """The summary, at most 40 lines.
 
     Args:
         title: the heading.
@@ -32,7 +32,7 @@ def summary_lines(title: str, formula: str, found: Inspection, width: int) -> li
 
 
 def left_out_lines(found: Inspection, width: int) -> list[str]:
-    """What became of sub-tasks that have no learner of their own; nothing if there are none."""
+    """Lines about sub-tasks without a learner of their own, if any."""
     lines: list[str] = []
     if left_out := found.get("left_out"):
         lines += _cut(f"left out: {', '.join(left_out)} (no transition of it brings acceptance nearer)", width, 2)
@@ -71,7 +71,7 @@ def _subtasks(found: Inspection) -> Iterator[str]:
 
 
 def _bars(found: Inspection) -> Iterator[str]:
-    """A histogram with at most ``MOST_BARS`` bars: each counts the states of some whole distances."""
+    """A histogram of states by distance, with at most ``MOST_BARS`` bars."""
     finite = Counter(int(dist) for dist in found["dist"].values() if dist is not None)
     span = -(-(max(finite, default=0) + 1) // MOST_BARS)
     bars = Counter({first: sum(finite[first + i] for i in range(span)) for first in range(0, max(finite) + 1, span)})

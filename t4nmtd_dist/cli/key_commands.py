@@ -111,5 +111,5 @@ class Keys:
     """What to do."""
 
     def run(self) -> int:
-        """Do it."""
+        """Run the chosen subcommand."""
         return self.action.run()

@@ -12,7 +12,7 @@ from t4nmtd_dist.core.errors import T4NMTDError
 
 
 def main() -> None:
-    """Parse the command line, run the subcommand, and exit with its code; 2 for anything a user can mend."""
+    """Run the subcommand and exit with its code; 2 for user-fixable errors."""
     os.environ.setdefault("OMP_NUM_THREADS", "1")  # before torch is imported
     check_verb([verb.__name__.lower() for verb in get_args(Command)])
     command = parse(Command, "t4nmtd", "Learn tasks with memory.")

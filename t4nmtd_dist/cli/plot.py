@@ -1,4 +1,4 @@
-"""``t4nmtd plot``: learning curves of runs as a picture."""
+"""``t4nmtd plot``: draws learning curves of runs."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ TITLES = {"success": "success rate", "length": "episode length (steps)", "return
 UNITS = ((3 * 3600.0, 3600.0, "h"), (180.0, 60.0, "min"), (0.0, 1.0, "s"))
 PANEL_INCHES = (5.4, 2.5)
 DOTS_PER_INCH = 120
-# So that pictures of the same curves are the same file: SVG's names are hashes with this salt, and there is no date.
+# Makes images reproducible: SVG ids are hashes with this salt, and there is no date.
 SALT = "t4nmtd"
 NO_DATE: dict[str, dict[str, Any]] = {".png": {"Software": None}, ".svg": {"Date": None}}
 
@@ -38,15 +38,15 @@ def plot(
     metrics: str = "success,length,return",
     labels: Sequence[str] = (),
 ) -> int:
-    """Draw the curves of runs into ``out``; the exit code.
+    """Draw the curves of runs into ``out``; returns the exit code.
 
-    Runs of one label (by default the name of the task) are drawn as mean with 95 % interval, see
-    ``t4nmtd_dist.runs.curves``; a run that is alone as it was. A run named twice counts once.
+    Runs with the same label (by default the task's name) become a mean with 95 % interval, see
+    ``t4nmtd_dist.runs.curves``; a single run is drawn as it is. Duplicates count once.
 
     Raises:
         ConfigError: if the file's format is unknown, the file cannot be written, a package is missing, or metrics or
             labels do not fit.
-        RunError: if a folder holds no evaluations, or runs of one label have no stretch in common.
+        RunError: if a folder holds no evaluations, or runs of one label have no common range.
     """
     _check_out(out)
     wanted = _metrics(metrics)
@@ -77,7 +77,7 @@ def _metrics(text: str) -> list[Metric]:
 
 
 def grouped(paths: Sequence[Path], labels: Sequence[str]) -> dict[str, list[RunCurves]]:
-    """Runs by label, in the order in which they were named; links to a run that was named are left out.
+    """Runs by label, in the given order, without duplicates.
 
     Raises:
         ConfigError: if there is no run, or the number of labels does not fit.
@@ -100,12 +100,12 @@ def grouped(paths: Sequence[Path], labels: Sequence[str]) -> dict[str, list[RunC
 
 
 def draw(groups: Mapping[str, Sequence[RunCurves]], axes: Sequence[Axis], metrics: Sequence[Metric]) -> Figure:
-    """A picture with a row for every metric and a column for every axis, each curve in one colour throughout.
+    """A figure with a row per metric and a column per axis; each label keeps its colour.
 
-    An interval is cut off where the metric ends: success at 0 and 1, length at 0.
+    Success is clipped to 0..1, length at 0.
 
     Raises:
-        RunError: if runs of one label have no stretch in common.
+        RunError: if runs of one label have no common range.
     """
     import matplotlib
     from matplotlib.figure import Figure
@@ -126,7 +126,7 @@ def draw(groups: Mapping[str, Sequence[RunCurves]], axes: Sequence[Axis], metric
 
 
 def _scale(axis: Axis, groups: Mapping[str, Sequence[RunCurves]]) -> tuple[float, str]:
-    """What x is divided by, and its title."""
+    """The divisor of x, and its title."""
     if axis == "interactions":
         return 1.0, "interactions of all learners"
     longest = max(float(run.columns["time"][-1]) for runs in groups.values() for run in runs)
@@ -165,7 +165,7 @@ def _format(panel: Axes, metric: Metric) -> None:
 
 
 def _save(figure: Figure, out: Path) -> None:
-    """Written under a temporary name first, so that a picture is whole or as before."""
+    """Write atomically through a temporary file."""
     import matplotlib
 
     fresh = out.with_name(f".{out.stem}.new{out.suffix}")

@@ -1,4 +1,4 @@
-"""Where the programs start: first of all they make sure that our packages are what their names give."""
+"""Entry points of the programs, with a check that no package hides ours."""
 
 from __future__ import annotations
 

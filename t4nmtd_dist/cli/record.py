@@ -1,4 +1,4 @@
-"""``t4nmtd record``: a film of an exported policy."""
+"""``t4nmtd record``: records a video of an exported policy."""
 
 from __future__ import annotations
 
@@ -20,12 +20,12 @@ LAST_FRAME_S = 1.0
 
 
 def record(path: Path, out: Path, *, episodes: int, seed: int, fps: int | None, trust: bool = False) -> int:
-    """Film episodes of the policy in ``path`` into ``out``; the exit code.
+    """Record episodes of the policy in ``path`` into ``out``; returns the exit code.
 
     Raises:
-        ConfigError: if the file's format is unknown or a package for it is missing.
-        TrustError: if the policy names code that the user does not trust.
-        EnvError: if the environment draws no pictures.
+        ConfigError: if the format is unknown, a package for it is missing, or a number is out of range.
+        TrustError: if the policy names untrusted code.
+        EnvError: if the environment does not render.
     """
     _check_format(out)
     if episodes < 1 or (fps is not None and fps < 1):
@@ -60,7 +60,7 @@ def _check_format(out: Path) -> None:
 
 @contextmanager
 def _writer(out: Path, fps: int) -> Iterator[Any]:
-    """A film under a temporary name, which becomes ``out`` once all is written."""
+    """A video writer that renames its file to ``out`` on success."""
     import imageio.v2 as imageio
 
     fresh = out.with_name(f".{out.stem}.new{out.suffix}")

@@ -1,4 +1,4 @@
-"""``t4nmtd config``: the resolved settings of a task as TOML, each line with where its value comes from."""
+"""``t4nmtd config``: a task's resolved settings as TOML, with the source of each value."""
 
 from __future__ import annotations
 
@@ -13,14 +13,14 @@ from t4nmtd_dist.tasks.layers import DEFAULT, Key, Layer, origin
 
 
 def settings_text(config: TaskConfig, layers: Sequence[Layer]) -> str:
-    """TOML that ``--config`` reads back, with a comment on every line; of agents, only the chosen one's section.
+    """TOML for ``--config`` with a comment on every line, and the chosen agent's section only.
 
-    Where the algorithm is ``auto``, every agent's section is there, and what an agent has other
-    defaults for is commented out: given in a file, it would win over them.
+    With algorithm ``auto`` it includes every agent's section, and comments out settings that agents have own defaults
+    for, because a file would override those.
 
     Args:
         config: the settings.
-        layers: that they are made of (``tasks.layers``).
+        layers: their sources (``tasks.layers``).
     """
     chosen = config.learner.algorithm
     others = AGENTS.modules.keys() - {chosen} if chosen != "auto" else set()
@@ -29,7 +29,7 @@ def settings_text(config: TaskConfig, layers: Sequence[Layer]) -> str:
 
 
 def _table(data: Mapping[str, Any], path: Key, config: TaskConfig, layers: Sequence[Layer]) -> Iterator[str]:
-    """Lines of a table: its header, its settings, then the tables in it."""
+    """Lines of a table and its nested tables."""
     tables = {name: value for name, value in data.items() if isinstance(value, Mapping) and value}
     if path:
         yield ""
@@ -49,14 +49,14 @@ def _setting(path: Key, value: Any, config: TaskConfig, layers: Sequence[Layer])
 
 
 def _defaults_of_agents(path: Key) -> dict[str, Any]:
-    """The defaults that agents have of their own for a setting of ``[learner]``."""
+    """Agents' own defaults for a setting of ``[learner]``."""
     section, name = path[0], path[-1]
     defaults = {agent: learner_defaults(agent) for agent in AGENTS.modules} if section == "learner" else {}
     return {agent: own[name] for agent, own in defaults.items() if name in own}
 
 
 def _value(value: Any, *, multiline: bool = False) -> str:
-    """A value on one line, if it is not a text of several lines."""
+    """A value as TOML, on one line if possible."""
     if isinstance(value, Mapping):
         return "{" + ", ".join(f"{_key(name)} = {_value(each)}" for name, each in value.items()) + "}"
     if isinstance(value, list | tuple):

@@ -1,4 +1,4 @@
-"""``t4nmtd status``: how a coordinator's run is."""
+"""``t4nmtd status``: shows the status of a coordinator's run."""
 
 from __future__ import annotations
 
@@ -24,11 +24,11 @@ def show_status(endpoint: str, keys: Path | None, wait_s: float, *, check: bool,
     """Print a coordinator's status.
 
     Args:
-        endpoint: where it hears workers.
+        endpoint: its control endpoint.
         keys: folder of a client's keys.
-        wait_s: seconds to wait for an answer.
-        check: print nothing but what is wrong.
-        as_json: print JSON instead of lines for people.
+        wait_s: timeout in seconds.
+        check: print only problems.
+        as_json: print JSON instead of text.
 
     Returns:
         0 if the coordinator answered, else 1.
@@ -54,7 +54,7 @@ def show_status(endpoint: str, keys: Path | None, wait_s: float, *, check: bool,
 
 
 def tell_ending(over: RunOverError, *, for_people: bool) -> int:
-    """Say how the run ended that was asked for: to people on standard output, to programs beside it."""
+    """Report the requested run's end: to users on stdout, for programs on stderr; returns 1."""
     if for_people:
         print(over)
     else:
@@ -63,7 +63,7 @@ def tell_ending(over: RunOverError, *, for_people: bool) -> int:
 
 
 def page(status: Status) -> str:
-    """A status as lines for people."""
+    """A status as text."""
     success = "none yet" if status.success_rate is None else f"{status.success_rate:.0%}"
     lines = [
         f"{status.task} seed {status.seed}: {status.phase} for {status.elapsed_s:.0f} s, "

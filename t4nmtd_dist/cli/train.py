@@ -1,4 +1,4 @@
-"""``t4nmtd train``: the newcomer's door. Starts everything on this machine and shows the dashboard."""
+"""``t4nmtd train``: starts everything on this machine and shows the dashboard."""
 
 from __future__ import annotations
 
@@ -26,20 +26,20 @@ def train(
     workers: int | None = None,
     device: Device = "cpu",
 ) -> int:
-    """Train; the exit code: 0 solved, 3 budget spent, 130 interrupted.
+    """Train; returns the exit code: 0 solved, 3 budget spent, 130 interrupted.
 
     Args:
-        options: what to train.
-        launcher: a name of ``core.registry.LAUNCHERS``.
+        options: of the run.
+        launcher: a key of ``core.registry.LAUNCHERS``.
         dashboard: whether to show it.
-        keys: folder of keys, for a machine that is shared with others.
-        workers: how many processes learn; None for one per sub-task.
+        keys: folder of keys, for a shared machine.
+        workers: number of learner processes; None for one per sub-task.
         device: where they train.
 
     Raises:
-        ConfigError: if there is no such launcher or device, or the sub-tasks cannot be divided among so many workers.
+        ConfigError: if launcher, device or number of workers is invalid.
         KeyFileError: if the keys cannot be used.
-        RunError: if the coordinator or a worker cannot go on.
+        RunError: if a process cannot continue.
     """
     LAUNCHERS.check(launcher, "--launcher")
     check_device(device)

@@ -1,4 +1,4 @@
-"""Where the coordinator of a running training listens, for commands that ask it."""
+"""Finds the endpoints of a running coordinator."""
 
 from __future__ import annotations
 
@@ -10,17 +10,17 @@ from t4nmtd_dist.wire.endpoints import CONTROL_PORT, DEFAULT_CONTROL, DEFAULT_ST
 
 
 def control_endpoint(directory: Path | None, connect: str | None, *, quiet: bool = False) -> str:
-    """Where workers are heard: ``connect``, else of the run in ``directory``, else of the newest that is running.
+    """The control endpoint: ``connect``, else of the run in ``directory``, else of the newest active run.
 
     Args:
         directory: of a run.
         connect: an endpoint, or a part of one.
-        quiet: do not name further runs that are running.
+        quiet: do not name other active runs.
 
     Raises:
         ConfigError: if ``connect`` is malformed.
         RunError: if the directory holds no run.
-        RunOverError: if that run cannot be asked any more.
+        RunOverError: if that run can no longer be queried.
     """
     if connect is not None:
         return complete_endpoint(connect, CONTROL_PORT)
@@ -29,7 +29,7 @@ def control_endpoint(directory: Path | None, connect: str | None, *, quiet: bool
 
 
 def state_endpoint(directory: Path | None, connect: str | None) -> str:
-    """Where the state is published; the rest as of ``control_endpoint``."""
+    """The state endpoint; otherwise like ``control_endpoint``."""
     if connect is not None:
         return complete_endpoint(connect, STATE_PORT)
     run = _wanted(directory, quiet=False)

@@ -1,4 +1,4 @@
-"""``t4nmtd-worker``: learns one or more sub-tasks, or evaluates, for a coordinator."""
+"""``t4nmtd-worker``: trains sub-tasks, or evaluates, for a coordinator."""
 
 from __future__ import annotations
 
@@ -57,11 +57,11 @@ def main() -> None:
     """Entry point of ``t4nmtd-worker``."""
     code = run(parse(WorkerCommand, "t4nmtd-worker", WorkerCommand.__doc__))
     sys.stderr.flush()
-    os._exit(code)  # Python would wait for an unfinished import, and then for torch to tidy up: seconds
+    os._exit(code)  # avoids seconds of waiting for unfinished imports and torch's clean-up
 
 
 def run(command: WorkerCommand) -> int:
-    """Run a worker; the exit code."""
+    """Run a worker; returns the exit code."""
     os.environ.setdefault("OMP_NUM_THREADS", "1")  # before torch is imported
     from t4nmtd_dist.core.devices import check_device
     from t4nmtd_dist.core.errors import BROKEN_ENVIRONMENT, ConfigError, EnvError, T4NMTDError

@@ -1,1 +1,1 @@
-"""Starting the roles: as local processes, or in lock-step in one process."""
+"""Launchers: local processes, or one lock-step process."""

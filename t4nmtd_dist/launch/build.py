@@ -1,4 +1,4 @@
-"""From a plan to a program: compile the task, check its environment, divide its sub-tasks among processes."""
+"""Builds a checked program from a plan."""
 
 from __future__ import annotations
 
@@ -25,20 +25,20 @@ def build_program(
     dashboard: bool = False,
     warn: Callable[[str], object] = print,
 ) -> Program:
-    """The program of a run: everything is checked, nothing is started or written.
+    """Build and check a run's program; starts and writes nothing.
 
     Args:
         plan: of the run.
         options: that the plan was made from.
-        workers: how many processes learn; None for one per sub-task.
+        workers: number of learner processes; None for one per sub-task.
         device: where they train.
-        keys: folder of keys, for a machine that is shared with others.
+        keys: folder of keys, for a shared machine.
         dashboard: whether to show the run on this terminal.
-        warn: called with a line about what the user should know of the environment.
+        warn: logs concerns with the environment.
 
     Raises:
-        ConfigError: if the sub-tasks cannot be divided among so many workers.
-        EnvError: if the environment does not do what the run needs.
+        ConfigError: if the sub-tasks cannot be divided among ``workers``.
+        EnvError: if the environment does not meet the requirements.
         KeyFileError: if the keys cannot be used.
     """
     task = ready_task(plan, options, warn)
@@ -49,10 +49,10 @@ def build_program(
 
 
 def ready_task(plan: RunPlan, options: RunOptions, warn: Callable[[str], object]) -> CompiledTask:
-    """The task compiled, its environment checked, and all that was left to the environment chosen.
+    """Compile the task, check its environment, and resolve settings that depend on it.
 
     Raises:
-        EnvError: if the environment does not do what the run needs.
+        EnvError: if the environment does not meet the requirements.
     """
     task = prepared(compile_task(plan.config, translator=options.translator, seed=plan.seed))
     for text in cautions(task):

@@ -1,4 +1,4 @@
-"""The roles of a program as command lines, for launchers that start processes here or elsewhere."""
+"""Command lines of a program's roles, for launchers."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from t4nmtd_dist.runs.directory import CHECKPOINTS_FOLDER
 
 
 def python_command(script: str) -> list[str]:
-    """How a ``coordinator`` or ``worker`` is started: without the current folder on Python's path."""
+    """The command for ``coordinator`` or ``worker``, without the current folder on Python's path."""
     return [sys.executable, "-P", "-m", "t4nmtd_dist.cli.programs", script]
 
 
@@ -19,7 +19,7 @@ def coordinator_command(program: Program) -> list[str]:
     command = [*python_command("coordinator"), "--translator", options.translator, "--tensorboard", options.tensorboard]
     command += ["--checkpoint-every", str(options.checkpoint_every)]
     if options.resume is not None:
-        command += ["--resume", str(options.resume), "--trust"]  # the plan has asked already
+        command += ["--resume", str(options.resume), "--trust"]  # the plan has already checked this
     if options.task:
         command += ["--task", options.task]
     if options.seed is not None:
@@ -37,7 +37,7 @@ def worker_command(program: Program, role: Role, control: str) -> list[str]:
     """The command line of a learner or evaluator.
 
     Args:
-        program: what runs.
+        program: the program.
         role: one of its workers.
         control: the coordinator's endpoint, as the worker's machine reaches it.
     """

@@ -1,4 +1,4 @@
-"""Reports of failed processes go to the terminal, and to the run's event log through its coordinator."""
+"""Reports failed processes on the terminal and in the event log."""
 
 from __future__ import annotations
 
@@ -14,11 +14,11 @@ TIMEOUT_S = 2.0
 
 
 class FailureReports:
-    """Passes on what is known of processes that failed.
+    """Forwards reports of failed processes.
 
     Args:
-        keys: of a coordinator that has keys.
-        held: print only at the end, for a live dashboard has the terminal until then.
+        keys: this client's, if the coordinator has keys.
+        held: print only at the end, because a live dashboard uses the terminal.
 
     Attributes:
         control: the coordinator's endpoint; "" until it listens.
@@ -30,19 +30,19 @@ class FailureReports:
         self._texts: list[str] = []
 
     def __call__(self, text: str, urgent: bool) -> None:
-        """Report at once: to the event log always, to the terminal if it is urgent."""
+        """Report now: to the event log, and if urgent to the terminal."""
         if urgent:
             self._texts.append(text)
         if not self._held:
             self._print()
         if self.control:
             context = new_context()
-            with suppress(ConfigError):  # an endpoint that cannot be connected to is reported elsewhere
+            with suppress(ConfigError):  # a bad endpoint is reported elsewhere
                 send_notice(context, self.control, self._keys, text, TIMEOUT_S)
             context.term()
 
     def release(self) -> None:
-        """Print what was held, and from now on print at once only: the coordinator is about to end."""
+        """Print held reports; from now on only print, because the coordinator is about to exit."""
         self.control, self._held = "", False
         self._print()
 

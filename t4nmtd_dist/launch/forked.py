@@ -1,6 +1,6 @@
-"""The ``forked`` launcher: every role is a fork of this process, so it has every Python object that this process has.
+"""The ``forked`` launcher: every role is a fork of this process and has all its Python objects.
 
-The Python API uses it: an environment that was defined in a notebook cannot be imported by another program.
+The Python API uses it, because other programs cannot import an environment defined in a notebook.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ CODES = {"solved": SOLVED, "budget spent": BUDGET_SPENT}
 
 
 def start(program: Program, supervisor: Supervisor) -> Handle:
-    """Start a program as forks of this process; see ``Launcher.start``."""
+    """Start a program as forks of this process; see ``Launcher``."""
     return start_processes(program, supervisor, fork)
 
 
@@ -76,7 +76,7 @@ class ForkedProcess:
 
 
 def _child(program: Program, role: Role, control: str, parent: int) -> None:
-    """Run a role; this process ends here, without the clean-up of what it inherited."""
+    """Run a role and exit without inherited clean-up."""
     code = USAGE
     try:
         _leave_parent(program, role)
@@ -95,9 +95,9 @@ def _child(program: Program, role: Role, control: str, parent: int) -> None:
 
 
 def _leave_parent(program: Program, role: Role) -> None:
-    """Let go of the parent's terminal, output, signal handlers and threads."""
+    """Detach from the parent's terminal, output, signals and threads."""
     os.setsid()
-    signal.set_wakeup_fd(-1)  # that of a notebook's event loop
+    signal.set_wakeup_fd(-1)  # inherited from a notebook's event loop
     for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
         signal.signal(number, signal.SIG_DFL)
     os.environ.update(role.environment)
@@ -109,7 +109,7 @@ def _leave_parent(program: Program, role: Role) -> None:
 
 
 def _serve(program: Program) -> int:
-    options = dataclasses.replace(program.options, restart=False)  # done already, by the parent
+    options = dataclasses.replace(program.options, restart=False)  # the parent has done it
     access = Access(LOOPBACK, LOOPBACK, program.keys, False)
     service = coordinator_service(program.plan, program.task, options, access)
 

@@ -1,4 +1,4 @@
-"""The ``local`` launcher: every role is a process of this machine."""
+"""The ``local`` launcher: every role is a process on this machine."""
 
 from __future__ import annotations
 
@@ -31,20 +31,20 @@ LOOPBACK = "tcp://127.0.0.1:*"
 
 
 class Spawn(Protocol):
-    """A way to start a role as a process of this machine."""
+    """Starts a role as a process on this machine."""
 
     def __call__(self, program: Program, role: Role, control: str) -> Process:
         """Start it; its output goes to ``program.log(role)``, and it ends with this process.
 
         Args:
-            program: what runs.
-            role: which of its roles.
+            program: the program.
+            role: one of its roles.
             control: the coordinator's endpoint; "" for the coordinator itself, which chooses free loopback ports.
         """
 
 
 def start(program: Program, supervisor: Supervisor) -> Handle:
-    """Start a program as processes of this machine; see ``Launcher.start``."""
+    """Start a program as processes of this machine; see ``Launcher``."""
     return start_processes(program, supervisor, spawn_command)
 
 
@@ -52,12 +52,12 @@ def start_processes(program: Program, supervisor: Supervisor, spawn: Spawn) -> H
     """Start the coordinator, and the workers once it listens.
 
     Args:
-        program: what runs.
-        supervisor: whom to tell of dead workers.
+        program: the program.
+        supervisor: notified of dead workers.
         spawn: starts one role.
 
     Raises:
-        RunError: if the coordinator ends at once or does not listen in time; the text is its own message.
+        RunError: with the coordinator's own message if it exits or does not listen in time.
     """
     handle = LocalProcesses(program, supervisor, spawn)
     try:
@@ -69,16 +69,16 @@ def start_processes(program: Program, supervisor: Supervisor, spawn: Spawn) -> H
 
 
 def spawn_command(program: Program, role: Role, control: str) -> Process:
-    """Start a role by its command line, in a session of its own: Ctrl-C on the terminal does not reach it."""
+    """Start a role by its command line, in its own session, out of reach of Ctrl-C."""
     if role.kind == "coordinator":
         command = [*coordinator_command(program), "--bind", LOOPBACK, "--publish", LOOPBACK]
     else:
-        command = [*worker_command(program, role, control), "--trust"]  # it is our own coordinator
+        command = [*worker_command(program, role, control), "--trust"]  # the coordinator is our own
     return spawn_logged([*command, "--lifeline", str(os.getpid())], program.log(role), role.environment)
 
 
 def spawn_logged(command: list[str], log: Path, environment: Mapping[str, str]) -> Process:
-    """Start a command whose output is appended to a log."""
+    """Start a command and append its output to a log."""
     with open_to_append(log) as file:
         return subprocess.Popen(
             command, stdout=file, stderr=file, env={**os.environ, **environment}, start_new_session=True
@@ -86,12 +86,10 @@ def spawn_logged(command: list[str], log: Path, environment: Mapping[str, str]) 
 
 
 class LocalProcesses:
-    """The processes of one program; dead workers are started again, a dead coordinator ends the run.
+    """The processes of one program; restarts dead workers, but a dead coordinator ends the run.
 
     Args:
-        program: what runs.
-        supervisor: whom to tell of dead workers.
-        spawn: starts one role.
+        supervisor: notified of dead workers.
     """
 
     def __init__(self, program: Program, supervisor: Supervisor, spawn: Spawn) -> None:
@@ -123,10 +121,10 @@ class LocalProcesses:
         return Endpoints(found["control"], found["state"])
 
     def check(self) -> bool:
-        """Start dead workers again; False once the coordinator has ended.
+        """Restart dead workers; False once the coordinator has ended.
 
         Raises:
-            RunError: if no learner is left; the text is the end of a log.
+            RunError: with the end of a log if no learner is left.
         """
         if self._coordinator is None or self._coordinator.poll() is not None:
             return False
@@ -134,7 +132,7 @@ class LocalProcesses:
         return True
 
     def status(self, timeout_s: float) -> Status | None:
-        """What the coordinator says of its run; None if it does not answer in time."""
+        """The coordinator's status; None if it does not answer in time."""
         if self.endpoints is None:
             return None
         keys = None if self._program.keys is None else load_client(self._program.keys)
@@ -152,7 +150,7 @@ class LocalProcesses:
             self._coordinator.terminate()
 
     def exit_code(self, timeout_s: float) -> int | None:
-        """The coordinator's exit code; None if it does not end within ``timeout_s``."""
+        """The coordinator's exit code; None if it does not end within ``timeout_s`` seconds."""
         if self._coordinator is None:
             return None
         try:
@@ -166,7 +164,7 @@ class LocalProcesses:
         return coordinator_failure(self._program.log(self._program.coordinator), code)
 
     def end(self) -> None:
-        """End whatever still runs, politely first; returns as soon as all have written their checkpoints."""
+        """Terminate remaining processes, and wait for their last checkpoints."""
         running = {f"worker {name}": worker.process for name, worker in self.workers.workers.items()}
         running |= {"the coordinator": self._coordinator} if self._coordinator is not None else {}
         end_processes(running, self._report)
@@ -177,7 +175,7 @@ def end_processes(running: Mapping[str, Process], report: Callable[[str, bool], 
 
     Args:
         running: by name.
-        report: told of those that were killed.
+        report: called for each killed process.
     """
     for process in running.values():
         if process.poll() is None:

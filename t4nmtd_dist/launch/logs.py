@@ -1,4 +1,4 @@
-"""The last lines of the processes' logs, to be quoted when one has failed."""
+"""Quotes the last lines of failed processes' logs."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ LONGEST_LINE = 1000
 
 
 def tail(log: Path, begin: int = 0) -> str:
-    """The last lines of a log, not counting its first ``begin`` bytes; "" if somebody has deleted it."""
+    """Last lines of a log after its first ``begin`` bytes; "" if it is gone."""
     try:
         written = log.read_bytes()[begin:]
     except OSError:
@@ -19,7 +19,7 @@ def tail(log: Path, begin: int = 0) -> str:
 
 
 def size(log: Path) -> int:
-    """Bytes of a log; 0 if somebody has deleted it."""
+    """Size of a log in bytes; 0 if it is gone."""
     try:
         return log.stat().st_size
     except OSError:
@@ -27,7 +27,7 @@ def size(log: Path) -> int:
 
 
 def coordinator_failure(log: Path, code: int | None) -> str:
-    """Why a coordinator ended without an outcome: its own message if it gave one, else its exit code and log."""
+    """Why a coordinator ended without an outcome: its message, or exit code and log."""
     said = tail(log)
     if said.startswith("t4nmtd-coordinator: "):
         return said.removeprefix("t4nmtd-coordinator: ")

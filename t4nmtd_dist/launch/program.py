@@ -1,4 +1,4 @@
-"""A program: what runs, as data. A launcher decides where and how."""
+"""A program: a run's processes as data; a launcher decides where and how they run."""
 
 from __future__ import annotations
 
@@ -28,10 +28,9 @@ class Role:
     """One process of a program.
 
     Attributes:
-        kind: what it does.
-        name: unique in its program, and valid as the name of a file, such as a log.
-        pids: the sub-tasks that a learner process learns.
-        environment: variables to set in addition to those of its machine.
+        name: unique in its program, and usable as a file name.
+        pids: sub-tasks of a learner process.
+        environment: additional environment variables.
     """
 
     kind: RoleKind
@@ -42,16 +41,16 @@ class Role:
 
 @dataclass(frozen=True)
 class Program:
-    """One run as data: nothing of it is started, and nothing is written.
+    """One run as data; nothing is started or written.
 
     Attributes:
         plan: settings, seed, identity and directory of the run.
-        task: the compiled task; its environment was checked.
-        options: what the user asked for; a coordinator's command line repeats them.
+        task: the compiled task, with a checked environment.
+        options: user options, repeated on the coordinator's command line.
         roles: all processes; exactly one is the coordinator.
-        keys: folder of keys for encrypted connections; None for none.
+        keys: folder of keys for encrypted connections, or None.
         device: where learners train.
-        dashboard: whether to show the run on this terminal while it goes on.
+        dashboard: whether to show the run on this terminal.
     """
 
     plan: RunPlan
@@ -74,20 +73,20 @@ class Program:
 
     @property
     def workers(self) -> tuple[Role, ...]:
-        """Learners and evaluators, in the order in which to start them."""
+        """Learners and evaluators, in starting order."""
         return tuple(role for role in self.roles if role.kind != "coordinator")
 
     def log(self, role: Role) -> Path:
-        """Where a role's output goes."""
+        """The log file of a role's output."""
         return self.directory / "logs" / f"{role.name}.log"
 
 
 def make_roles(pids: Sequence[str], workers: int | None = None) -> tuple[Role, ...]:
-    """A coordinator, learners among which all sub-tasks are divided, and an evaluator.
+    """Create a coordinator, learners for all sub-tasks, and an evaluator.
 
     Args:
         pids: the sub-tasks.
-        workers: how many learner processes; None for one per sub-task.
+        workers: number of learner processes; None for one per sub-task.
 
     Raises:
         ConfigError: if ``workers`` is below 1 or above the number of sub-tasks.
@@ -97,11 +96,11 @@ def make_roles(pids: Sequence[str], workers: int | None = None) -> tuple[Role, .
 
 
 def assign_pids(pids: Sequence[str], workers: int | None) -> dict[str, list[str]]:
-    """The sub-tasks of each learner process by the name of the process, assigned in turn.
+    """Assign sub-tasks to learner processes round-robin; returns them by process name.
 
     Args:
         pids: the sub-tasks.
-        workers: how many processes; None for one per sub-task.
+        workers: number of processes; None for one per sub-task.
 
     Raises:
         ConfigError: if ``workers`` is below 1 or above the number of sub-tasks.
@@ -117,7 +116,7 @@ def assign_pids(pids: Sequence[str], workers: int | None) -> dict[str, list[str]
 
 
 def _name_of(pids: Sequence[str], taken: Mapping[str, object]) -> str:
-    """The sub-tasks' names joined; a number where that is too long for a file name, taken or reserved."""
+    """The sub-tasks' names joined, or a numbered name if unusable."""
     joined = "+".join(map(file_name, pids))
     if len(joined) <= LONGEST_NAME and joined not in taken and joined not in RESERVED_NAMES:
         return joined

@@ -1,4 +1,4 @@
-"""What a launcher is. To add one, write a module with a function ``start`` and add a line to ``LAUNCHERS``."""
+"""The launcher interface. To add one, write a module with a function ``start`` and add a line to ``LAUNCHERS``."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ OUTCOMES = (SOLVED, BUDGET_SPENT, STOPPED)
 
 @dataclass(frozen=True)
 class Endpoints:
-    """Where a running coordinator listens.
+    """Endpoints of a running coordinator.
 
     Attributes:
         control: for workers and status requests.
@@ -29,10 +29,10 @@ class Endpoints:
 
 @dataclass(frozen=True)
 class Supervisor:
-    """What a launcher may ask of, and tell, whoever started the program.
+    """Callbacks from a launcher to its caller.
 
     Attributes:
-        report: called with a text about a process that failed, and whether the user should see it on the terminal.
+        report: called with a text about a failed process, and whether it is urgent.
         interrupted: whether the user wants the run to stop.
     """
 
@@ -41,9 +41,9 @@ class Supervisor:
 
 
 class Handle(Protocol):
-    """A program that was started.
+    """A started program.
 
-    The loop it is meant for::
+    The intended loop::
 
         while handle.check() and not interrupted():
             pause()
@@ -55,43 +55,43 @@ class Handle(Protocol):
 
     @property
     def endpoints(self) -> Endpoints | None:
-        """Where its coordinator listens; None if all roles share this process."""
+        """The coordinator's endpoints; None if all roles share this process."""
 
     def check(self) -> bool:
-        """Look after the processes (or do a part of the work); False once the run is over.
+        """Supervise the processes, or do some of the work; False once the run is over.
 
-        Called several times a second, and must return soon.
+        Called several times a second, so it must return quickly.
 
         Raises:
-            RunError: if the run cannot go on.
+            RunError: if the run cannot continue.
         """
 
     def status(self, timeout_s: float) -> Status | None:
-        """How the run is; None if the coordinator has not answered in time."""
+        """The run's status; None if the coordinator does not answer in time."""
 
     def interrupt(self) -> None:
-        """Ask the run to stop: it writes its result and checkpoints, and ends."""
+        """Ask the run to write its result and checkpoints, and stop."""
 
     def exit_code(self, timeout_s: float) -> int | None:
-        """The run's exit code (see ``OUTCOMES``), waited for if need be; None if it has not ended in time.
+        """Wait for the run's exit code (see ``OUTCOMES``); None after the timeout.
 
         Raises:
             RunError: if the result cannot be written.
         """
 
     def end(self) -> None:
-        """End whatever is left of the program, and release what it holds; also called after an error."""
+        """End what is left and release resources; also called after errors."""
 
     def failure(self) -> str:
-        """Why the run ended without an outcome; asked after ``end``."""
+        """Why the run ended without an outcome; called after ``end``."""
 
 
 class Launcher(Protocol):
-    """A way to start a program; a module with such a function is one."""
+    """A module with this function is a launcher."""
 
     def start(self, program: Program, supervisor: Supervisor) -> Handle:
-        """Start all roles of a program; its run directory is ready.
+        """Start all roles of a program, whose run directory is ready.
 
         Raises:
-            RunError: if they cannot be started; nothing is left running then.
+            RunError: if they cannot be started; nothing is left running.
         """

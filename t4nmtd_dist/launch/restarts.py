@@ -1,4 +1,4 @@
-"""Worker processes that are started again when they die, for as long as there is hope."""
+"""Restarts worker processes that die, up to a limit."""
 
 from __future__ import annotations
 
@@ -12,17 +12,17 @@ from typing import Protocol
 from t4nmtd_dist.core.errors import BROKEN_ENVIRONMENT, RunError
 from t4nmtd_dist.launch.logs import size, tail
 
-EARLY_S = 60.0  # a learner that refuses within this time has hardly learned anything
+EARLY_S = 60.0  # a learner that exits earlier has hardly learned anything
 RESTART_PAUSE_S = 0.5
 MOST_RESTARTS = 20
 MOST_REFUSALS = 3
-REFUSALS = (2, BROKEN_ENVIRONMENT)  # exit codes for what a user can mend
-FORGIVEN_S = 600.0  # the refusals of a worker that ran so long are forgotten
-KILLED_BY = (signal.SIGKILL, signal.SIGTERM, signal.SIGINT, signal.SIGHUP)  # somebody's wish, not a crash
+REFUSALS = (2, BROKEN_ENVIRONMENT)  # exit codes for user-fixable problems
+FORGIVEN_S = 600.0  # a worker that ran this long gets its refusals reset
+KILLED_BY = (signal.SIGKILL, signal.SIGTERM, signal.SIGINT, signal.SIGHUP)  # deliberate, not a crash
 
 
 class Process(Protocol):
-    """A process of this machine; ``subprocess.Popen`` is one."""
+    """A process on this machine; ``subprocess.Popen`` is one."""
 
     pid: int
 
@@ -31,7 +31,7 @@ class Process(Protocol):
         """The exit code as of the last ``poll`` or ``wait``."""
 
     def poll(self) -> int | None:
-        """The exit code, negative for a signal; None while it runs."""
+        """The exit code, negative for a signal; None while running."""
 
     def wait(self, timeout: float | None = None) -> int:
         """Wait for the exit code.
@@ -52,18 +52,13 @@ class Worker:
     """A worker process and its history.
 
     Attributes:
-        name: of the role.
-        start: starts the process.
-        log: where its output goes.
-        learns: whether it is a learner, not an evaluator.
-        process: the newest one.
-        restarts: how often it was started again.
-        refusals: how often it has ended with a code for what a user can mend.
-        given_up: whether it is not started again any more.
-        restart_at: when it is due to be started again; None while it runs.
-        log_size: bytes of its log when the process was started.
-        began: when its process was started, in seconds of a clock that only grows.
-        lived_s: how long the process that ended last had run.
+        learns: whether it is a learner rather than an evaluator.
+        refusals: number of exits with a code for user-fixable problems.
+        given_up: whether it is no longer restarted.
+        restart_at: time of the next restart; None while running.
+        log_size: bytes of its log at the last start.
+        began: start time of its process, on a monotonic clock in seconds.
+        lived_s: runtime in seconds of the last ended process.
     """
 
     name: str
@@ -84,29 +79,29 @@ class Worker:
 
     @property
     def code(self) -> int:
-        """Exit code of the process that ended last."""
+        """Exit code of the last ended process."""
         return self.process.returncode or 0
 
     @property
     def refused_at_start(self) -> bool:
-        """Whether its first process has just refused, before it can have learned much."""
+        """Whether its first process refused before it can have learned much."""
         first = self.restarts == 0 and self.restart_at is not None and self.code in REFUSALS
         return first and self.lived_s < EARLY_S
 
     @property
     def is_urgent(self) -> bool:
-        """Whether the user should see how it ended: it failed by itself, or was killed not for the first time."""
+        """Whether the user should see its end: it failed by itself, or was killed again."""
         return self.restarts > 0 or -self.code not in KILLED_BY
 
     def death_report(self) -> str:
-        """How it ended, what follows, and its last lines."""
+        """How it ended, what happens next, and its last log lines."""
         how = f"was killed by {signal.Signals(-self.code).name}" if self.code < 0 else f"ended with code {self.code}"
         fate = "is not started again; others go on" if self.given_up else "is started again"
         last = f"its last lines, from {self.log}:\n{tail(self.log, self.log_size)}"
         return f"worker {self.name} {how} and {fate}; {last}".rstrip()
 
     def note_death(self, now: float) -> None:
-        """Its process has ended: count that, and decide when to start it again, if at all."""
+        """Record its end, and schedule a restart or give up."""
         self.lived_s = now - self.began
         if self.lived_s > FORGIVEN_S:
             self.refusals = 0
@@ -115,7 +110,7 @@ class Worker:
         self.restart_at = now + RESTART_PAUSE_S * 2 ** min(self.restarts, 5)
 
     def restart(self, now: float) -> None:
-        """Start it again under the same name, so that the coordinator gives it its own sub-tasks back at once."""
+        """Restart it under the same name, to get its sub-tasks back at once."""
         self.restarts += 1
         self.restart_at = None
         self.log_size = size(self.log)
@@ -126,7 +121,7 @@ class RestartedWorkers:
     """All workers of a run on this machine.
 
     Args:
-        report: called at once with what is known of a worker that has died, and whether that is urgent.
+        report: called with the report of a dead worker, and whether it is urgent.
     """
 
     def __init__(self, report: Callable[[str, bool], None]) -> None:
@@ -138,17 +133,17 @@ class RestartedWorkers:
 
         Args:
             name: of its role.
-            start: starts its process, now and again.
-            log: where that writes.
+            start: starts its process; also used for restarts.
+            log: its log file.
             learns: whether it is a learner.
         """
         self.workers[name] = Worker(name, start, log, learns)
 
     def check(self) -> None:
-        """Start dead workers again.
+        """Restart dead workers.
 
         Raises:
-            RunError: if no learner is left; the text is the end of a log.
+            RunError: with the end of a log if no learner is left.
         """
         now = time.monotonic()
         for worker in self.workers.values():
@@ -164,10 +159,9 @@ class RestartedWorkers:
             worker.restart(now)
 
     def _check_learners(self) -> None:
-        """End when no learner is left: all were given up, or each has refused before any got to work.
+        """End the run if all learners were given up or refused at the start, or one because of the environment.
 
-        End as well when a learner was given up because of the environment, which all learners have in common: a
-        sub-task without a learner may leave the others waiting for ever.
+        All learners share the environment, and the others might wait for that sub-task for ever.
         """
         learners = [worker for worker in self.workers.values() if worker.learns]
         if not learners:

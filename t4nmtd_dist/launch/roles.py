@@ -1,4 +1,4 @@
-"""The roles of a program as objects of this process, for launchers that fork and for the command-line programs."""
+"""Creates a program's roles as objects of this process."""
 
 from __future__ import annotations
 
@@ -27,18 +27,18 @@ def coordinator_service(
     lease_s: float = LEASE_S,
     by_hand: bool = False,
 ) -> CoordinatorService:
-    """A coordinator that listens already; ``serve`` runs it.
+    """A listening coordinator; ``serve`` runs it.
 
     Args:
         plan: of the run.
         task: compiled and checked (``build.ready_task``).
-        options: checkpoint interval, TensorBoard and restart are taken from there.
-        access: where workers are heard, where the state is published, and for whom.
-        lease_s: seconds of silence after which a worker counts as lost.
-        by_hand: whether people start the workers, who want to be told the commands.
+        options: for checkpoint interval, TensorBoard and restart.
+        access: endpoints and access control.
+        lease_s: seconds of silence until a worker is lost.
+        by_hand: whether users start the workers.
 
     Raises:
-        ConfigError: if the task's weights fit into no message, or an endpoint cannot be used.
+        ConfigError: if the task or its weights are too large for a message, or an endpoint cannot be used.
         KeyFileError: if the keys cannot be used.
         RunError: if the run directory cannot be used.
     """
@@ -55,10 +55,10 @@ def coordinator_service(
 
 
 def worker_options(program: Program, role: Role, control: str) -> WorkerOptions:
-    """How a learner or evaluator of a program starts; ``workers.worker.Worker`` takes it.
+    """Options of a program's learner or evaluator, for ``workers.worker.Worker``.
 
     Args:
-        program: what runs.
+        program: the program.
         role: one of its workers.
         control: the coordinator's endpoint.
     """

@@ -1,4 +1,4 @@
-"""Start a program with a launcher and see it through to its end."""
+"""Runs a program to its end with a launcher."""
 
 from __future__ import annotations
 
@@ -19,8 +19,8 @@ from t4nmtd_dist.runs.directory import RunDirectory
 from t4nmtd_dist.wire.auth.keys import ClientKeys, load_client
 
 CHECK_S = 0.1
-OUTCOME_S = 15.0  # after the last state was shown, in which a coordinator usually ends
-RESULT_S = 90.0  # in which a coordinator that finds no room for its result gives up
+OUTCOME_S = 15.0  # usual time for a coordinator to end after its last state
+RESULT_S = 90.0  # time for a coordinator to give up on a full disk
 
 
 Show = Callable[[Handle, Callable[[], bool]], None]
@@ -37,17 +37,17 @@ def launch(
     """Run a program to its end.
 
     Args:
-        program: what runs.
-        launcher: a name of ``core.registry.LAUNCHERS``.
+        program: the program.
+        launcher: a key of ``core.registry.LAUNCHERS``.
         interrupted: whether the user wants the run to stop; by default after Ctrl-C, SIGTERM or SIGHUP.
-        show: shows the run in place of the dashboard.
+        show: replaces the dashboard.
 
     Returns:
         The exit code: 0 solved, 3 budget spent, 130 interrupted.
 
     Raises:
         ConfigError: if there is no such launcher.
-        RunError: if the run directory cannot be used, or the coordinator or a worker cannot go on.
+        RunError: if the run directory cannot be used, or a process cannot continue.
     """
     os.environ.setdefault("OMP_NUM_THREADS", "1")  # before a launcher imports torch
     chosen = cast(Launcher, LAUNCHERS.module(launcher))
@@ -82,7 +82,7 @@ def _see_through(program: Program, launcher: Launcher, interrupted: Callable[[],
 
 
 def _watch(handle: Handle, interrupted: Callable[[], bool], dashboard: bool, keys: ClientKeys | None) -> None:
-    """Look after the program until it is over or interrupted, and show it meanwhile."""
+    """Supervise and show the program until its end or interruption."""
 
     def keep_going() -> bool:
         return handle.check() and not interrupted()
@@ -101,7 +101,7 @@ def _watch(handle: Handle, interrupted: Callable[[], bool], dashboard: bool, key
 
 
 def _exit_code(program: Program, handle: Handle, interrupted: Callable[[], bool]) -> int | None:
-    """The run's exit code; None if it does not end in time."""
+    """The run's exit code; None after a timeout."""
     code = handle.exit_code(OUTCOME_S)
     if code is None and not interrupted():
         log = program.log(program.coordinator)
@@ -114,7 +114,7 @@ def _exit_code(program: Program, handle: Handle, interrupted: Callable[[], bool]
 
 
 def _takes_the_terminal() -> bool:
-    """Whether a dashboard takes the whole terminal."""
+    """Whether a dashboard uses the whole terminal."""
     from rich.console import Console
 
     from coordinator.ui.viewer import wants_plain

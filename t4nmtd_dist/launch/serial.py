@@ -1,6 +1,6 @@
-"""All roles in lock-step in one process: bit-reproducible from a seed; for debugging and as the tests' oracle.
+"""All roles in lock-step in one process: bit-reproducible from a seed; for debugging, and the tests' oracle.
 
-The states, learners and messages are the distributed system's own; only the network between them is left out.
+It uses the distributed system's own states, learners and messages, without the network.
 """
 
 from __future__ import annotations
@@ -27,13 +27,12 @@ from workers.learner_session import LearnerSession
 
 @dataclass
 class SerialRun:
-    """A whole training in one process.
+    """A training run in one process.
 
     Args:
-        task: the compiled task.
         settings: seed and budget.
-        clock: seconds; only shown, never used for decisions.
-        device: where all networks are.
+        clock: seconds; for display, never for decisions.
+        device: device of all networks.
     """
 
     task: CompiledTask
@@ -53,7 +52,7 @@ class SerialRun:
         self.evaluator = EvaluationSession(self._claim(Claim(role="evaluator", instance="serial"))[0])
         self.peers: dict[str, PeerCritics] = {pid: self._peers(pid) for pid in self.sessions}
         self.notes: list[Action] = []
-        self._next = 0  # the sub-task whose turn it is in the round
+        self._next = 0  # index of the next sub-task in this round
 
     def _begin(self, pid: str) -> LearnerSession:
         granted, envelope = self._claim(Claim(role="learner", instance="serial", pid=pid))
@@ -85,22 +84,22 @@ class SerialRun:
         return [Envelope(a.message, a.arrays) for a in actions if isinstance(a, Send)]
 
     def steps(self) -> Iterator[list[Action]]:
-        """Run round after round until the task is solved or the budget spent; yields what is worth recording.
+        """Run rounds until the task is solved or the budget spent; yields the actions to record.
 
-        In a round every learner that can start trains on one roll-out, tells the coordinator and hears its answer;
-        then the evaluator asks for a job.
+        In a round every learner that can start trains on one rollout, reports it and receives the reply. Then the
+        evaluator polls for a job.
         """
         while self.coordinator.outcome is None:
             self.round()
             yield self.take_notes()
 
     def take_notes(self) -> list[Action]:
-        """What is worth recording since the last call."""
+        """The actions to record since the last call."""
         taken, self.notes = self.notes, []
         return taken
 
     def state_dict(self) -> State:
-        """Everything, for a checkpoint; arrays may be views of what is learned with."""
+        """The state for a checkpoint; arrays may be views of live data."""
         return {
             "coordinator": saved_state(self.coordinator),
             "sessions": {pid: session.state_dict() for pid, session in self.sessions.items()},
@@ -109,7 +108,7 @@ class SerialRun:
         }
 
     def load_state_dict(self, state: State) -> None:
-        """Go on from a ``state`` of the same run, exactly as that one would have."""
+        """Restore a ``state_dict`` of the same run; training then continues identically."""
         load_saved_state(self.coordinator, state["coordinator"])
         for pid, session in self.sessions.items():
             session.load_state_dict(state["sessions"][pid])
@@ -118,7 +117,7 @@ class SerialRun:
         self._next = state["next"]
 
     def _load_counts(self, pid: str, session: State) -> None:
-        """What peers were asked; a question that was open is asked, and counted, again."""
+        """Restore the query counts; open questions are asked again."""
         open_rows = sum(len(drawn["asked_rows"]) for drawn in session["learner"].get("ahead", ()))
         counts = InterventionCounts(**session["counts"])
         peers = self.peers[pid]
@@ -131,7 +130,7 @@ class SerialRun:
         self._handle(Interrupted(self.clock(), reason))
 
     def round(self) -> None:
-        """One round of all learners and the evaluator; a resumed run goes on with the rest of it."""
+        """Run one round of all learners and the evaluator, or the rest of a resumed one."""
         for pid in list(self.sessions)[self._next :]:
             session = self.sessions[pid]
             session.iterate(self.peers[pid])

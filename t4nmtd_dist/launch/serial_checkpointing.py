@@ -1,4 +1,4 @@
-"""Checkpoints of a run in one process: the whole of it in one, between two rounds, so that it goes on exactly."""
+"""Checkpoints of a serial run, which resumes bit for bit."""
 
 from __future__ import annotations
 
@@ -14,12 +14,10 @@ from t4nmtd_dist.runs.resuming import SERIAL
 
 
 class SerialCheckpoints:
-    """Keeps what a resume needs of a serial run.
+    """Writes and restores a serial run's checkpoints.
 
     Args:
-        run: the run.
-        directory: its folder.
-        every_s: seconds between two checkpoints.
+        every_s: checkpoint interval in seconds.
     """
 
     def __init__(self, run: SerialRun, directory: RunDirectory, every_s: float) -> None:
@@ -36,9 +34,9 @@ class SerialCheckpoints:
         self._directory.log_event(self._run.coordinator.elapsed_s, text)
 
     def resume(self) -> None:
-        """Let a fresh run go on from the newest checkpoint; what came after that is done, and counted, again.
+        """Restore the newest checkpoint into a fresh run; later work is repeated.
 
-        It comes out exactly as it did before. Without a checkpoint the run begins anew, with the same result.
+        The repetition is bit-identical. Without a checkpoint the run starts over, with the same result.
         """
         found = newest_checkpoint(self._folder, lambda about: about == self._about, self._warn)
         if found is not None:
@@ -53,7 +51,7 @@ class SerialCheckpoints:
         print(f"t4nmtd: warning: {text}", file=sys.stderr)
 
     def write_due(self) -> None:
-        """Write a checkpoint if one is due; to be called between two rounds."""
+        """Write a checkpoint if one is due; call between rounds."""
         if time.monotonic() >= self._due and self._run.coordinator.outcome is None:
             self._writer.write(self._folder, self._about, self._run.state_dict())
             self._due = time.monotonic() + self._every_s
@@ -63,7 +61,7 @@ class SerialCheckpoints:
         keep_newest_only(self._directory.checkpoints)
 
     def finish(self, *, written: bool = True) -> None:
-        """Write a last checkpoint; a solved run whose result is ``written`` needs none any more."""
+        """Write a last checkpoint, or delete all if the run is solved and its result is ``written``."""
         if self._run.coordinator.outcome == "solved" and written:
             delete_checkpoints(self._folder)
         else:

@@ -1,4 +1,4 @@
-"""The ``serial`` launcher: all roles in this process, in lock-step; ``check`` does the work, one round at a time."""
+"""The ``serial`` launcher: all roles in lock-step in this process; each ``check`` runs one round."""
 
 from __future__ import annotations
 
@@ -23,16 +23,15 @@ CODES = {"solved": SOLVED, "budget spent": BUDGET_SPENT}
 
 
 def start(program: Program, supervisor: Supervisor) -> Handle:
-    """Make a program ready to run in this process; see ``Launcher.start``."""
+    """Prepare a program to run in this process; see ``Launcher``."""
     return SerialHandle(program, supervisor)
 
 
 class SerialHandle:
-    """A run in this process, its directory, its recorder and its checkpoints.
+    """A run in this process with its directory, logger and checkpoints.
 
     Args:
-        program: what runs.
-        supervisor: asked whether to give up waiting for room on a full disk.
+        supervisor: asked whether to stop waiting for disk space.
 
     Raises:
         RunError: if another process uses the run directory.
@@ -60,7 +59,7 @@ class SerialHandle:
         self._recorder = RunLogger(self._run.coordinator, self._directory, program.options.tensorboard, _say)
 
     def check(self) -> bool:
-        """One round; False once the run is over."""
+        """Run one round; False once the run is over."""
         if self._run.coordinator.outcome is not None:
             return False
         self._run.round()
@@ -74,7 +73,7 @@ class SerialHandle:
             self._recorder.record(note)
 
     def status(self, timeout_s: float) -> Status:
-        """How the run is after the last round."""
+        """The run's status after the last round."""
         return status(self._run.coordinator, time.time())
 
     def interrupt(self) -> None:
@@ -82,7 +81,7 @@ class SerialHandle:
         self._run.stop("interrupted")
 
     def exit_code(self, timeout_s: float) -> int:
-        """Write the result, however long that takes; the exit code.
+        """Write the result, however long it takes; returns the exit code.
 
         Raises:
             RunError: if the result cannot be written.
@@ -96,11 +95,11 @@ class SerialHandle:
         return CODES.get(outcome or "", STOPPED)
 
     def end(self) -> None:
-        """Give the run directory back."""
+        """Unlock the run directory."""
         self._directory.unlock()
 
     def failure(self) -> str:
-        """Unreachable as long as ``exit_code`` returns an outcome or raises."""
+        """Unreachable, because ``exit_code`` returns an outcome or raises."""
         return f"the run in {self._program.directory} ended without an outcome"
 
 

@@ -1,1 +1,1 @@
-"""What every process of the system needs: signals, the parent watchdog, import names."""
+"""Process-level basics: signals, parent watchdog, memory, import names."""

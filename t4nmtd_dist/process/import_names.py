@@ -1,4 +1,4 @@
-"""Refuse to start where another package hides one of ours: what would run then is anybody's guess."""
+"""Refuses to start if another package hides one of ours."""
 
 from __future__ import annotations
 
@@ -13,12 +13,10 @@ PACKAGES = ("coordinator", "workers", "envs")
 
 
 def check_import_names() -> None:
-    """Check that the packages beside this one are those that Python finds by their names.
-
-    Nothing of them is imported.
+    """Check, without importing them, that Python finds this distribution's own packages.
 
     Raises:
-        ImportNameError: says what hides what, and what to do.
+        ImportNameError: with the package that hides ours, and what to do.
     """
     installed = Path(__file__).resolve().parents[2]
     for name in PACKAGES:
@@ -28,10 +26,10 @@ def check_import_names() -> None:
 
 
 def _found(name: str) -> Path | None:
-    """The file or folder that ``import name`` takes."""
+    """What ``import name`` would load."""
     try:
         spec = importlib.util.find_spec(name)
-    except ValueError:  # somebody's module without a specification
+    except ValueError:  # a module without a spec
         return None
     if spec is None:
         return None

@@ -1,4 +1,4 @@
-"""Give freed memory back to the system."""
+"""Returns freed memory to the system."""
 
 from __future__ import annotations
 
@@ -9,9 +9,9 @@ EVERY_S = 5.0
 
 
 class MemoryTrimmer:
-    """Trims the C library's heaps now and then; without this, memory that a burst of messages took stays resident.
+    """Periodically trims the C library's heaps, which otherwise keep the memory of message bursts.
 
-    Does nothing where the C library has no ``malloc_trim`` (only glibc has it).
+    Only glibc has ``malloc_trim``; elsewhere it does nothing.
     """
 
     def __init__(self) -> None:
@@ -19,7 +19,7 @@ class MemoryTrimmer:
         self._due = 0.0
 
     def turn(self) -> None:
-        """Trim if it is due; takes about a millisecond."""
+        """Trim if due; takes about a millisecond."""
         now = time.monotonic()
         if self._trim is not None and now >= self._due:
             self._due = now + EVERY_S

@@ -1,4 +1,4 @@
-"""Child processes that end with the process that started them, however it ends."""
+"""Ends child processes with their parent, however it ends."""
 
 from __future__ import annotations
 
@@ -13,10 +13,10 @@ CHECK_S = 0.5
 
 
 def end_with_parent(parent: int) -> None:
-    """Send this process SIGTERM as soon as its parent is gone (checked twice a second).
+    """Send this process SIGTERM once its parent is gone (checked twice a second).
 
     Args:
-        parent: the parent's process number, from the parent itself: it may be gone before this process asks.
+        parent: the parent's process id, obtained in the parent, which may exit at any time.
     """
     threading.Thread(target=_watch, args=(parent,), name="lifeline", daemon=True).start()
 
@@ -24,6 +24,6 @@ def end_with_parent(parent: int) -> None:
 def _watch(parent: int) -> None:
     while os.getppid() == parent:
         time.sleep(CHECK_S)
-    with contextlib.suppress(OSError):  # who would have read it may be gone as well
+    with contextlib.suppress(OSError):  # the reader may be gone too
         print("the process that started this one is gone; ending", file=sys.stderr, flush=True)
     os.kill(os.getpid(), signal.SIGTERM)

@@ -1,4 +1,4 @@
-"""The signals that ask a process to end."""
+"""Handles the signals that ask a process to end."""
 
 from __future__ import annotations
 
@@ -8,14 +8,14 @@ from contextlib import contextmanager
 from types import FrameType
 from typing import Any
 
-END_SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)  # Ctrl-C, kill, and a terminal that is closed
+END_SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)  # Ctrl-C, kill, closed terminal
 
 
 def install_signal_handlers(act: Callable[[int, FrameType | None], object]) -> dict[int, Any]:
-    """Call ``act`` at each of these signals, except for those that are ignored, as under ``nohup``.
+    """Call ``act`` on each of these signals, except ignored ones (``nohup``).
 
     Returns:
-        The handlers before, by signal.
+        The previous handlers by signal.
     """
     before = {number: signal.getsignal(number) for number in END_SIGNALS}
     before = {number: handler for number, handler in before.items() if handler is not signal.SIG_IGN}
@@ -26,7 +26,7 @@ def install_signal_handlers(act: Callable[[int, FrameType | None], object]) -> d
 
 @contextmanager
 def noted_signals() -> Iterator[Callable[[], bool]]:
-    """Within the block, these signals only set a flag; the function given tells whether one has come."""
+    """Let these signals only set a flag within the block; yields a function that returns it."""
     came: list[int] = []
     before = install_signal_handlers(lambda number, _: came.append(number))
     try:

@@ -1,1 +1,1 @@
-"""The run directory: settings, events, metrics, summary and the exported policy of one training."""
+"""The run directory: settings, events, metrics, checkpoints, summary and exported policy."""

@@ -1,4 +1,4 @@
-"""The safetensors format, written piece by piece: ``safetensors.numpy.save`` would copy every array first."""
+"""Streams safetensors files: ``safetensors.numpy.save`` would copy every array first."""
 
 from __future__ import annotations
 
@@ -27,10 +27,10 @@ _PIECE_BYTES = 1 << 22
 
 
 def array_file_parts(arrays: Mapping[str, NDArray[Any]]) -> Iterator[bytes | memoryview]:
-    """The content of a safetensors file in pieces, to be written one after the other.
+    """The content of a safetensors file in consecutive pieces.
 
     Raises:
-        TypeError: for an array of a type that the format does not have.
+        TypeError: for a dtype that the format does not have.
     """
     ordered = sorted(arrays.items(), key=lambda item: (-item[1].dtype.itemsize, item[0]))  # keeps data aligned
     header: dict[str, Any] = {}

@@ -1,4 +1,4 @@
-"""Writing checkpoints beside the work: one at a time, in a thread."""
+"""Writes checkpoints in a background thread, one at a time."""
 
 from __future__ import annotations
 
@@ -13,10 +13,10 @@ from t4nmtd_dist.runs.checkpoints import Warn, write_checkpoint
 
 
 class BackgroundWriter:
-    """Writes checkpoints, and tells of those that cannot be written: a full disk ends no training.
+    """Writes checkpoints and reports failures: a full disk does not end training.
 
     Args:
-        tell: called with a line about every checkpoint, and about trouble; from another thread, too.
+        tell: logs every checkpoint or failure, possibly from another thread.
     """
 
     def __init__(self, tell: Warn) -> None:
@@ -30,12 +30,12 @@ class BackgroundWriter:
         return self._pending is not None and not self._pending.done()
 
     def begin(self, folder: Path, about: Mapping[str, Any], state: Mapping[str, Any]) -> None:
-        """Write a checkpoint beside the work; its arrays must not change from now on."""
+        """Write a checkpoint in the background; its arrays must not change meanwhile."""
         self.wait()
         self._pending = self._executor.submit(self.write, folder, about, state)
 
     def wait(self) -> None:
-        """Wait until none is being written."""
+        """Wait for the current checkpoint."""
         pending, self._pending = self._pending, None
         if pending is not None:
             pending.result()
@@ -52,7 +52,7 @@ class BackgroundWriter:
 
 
 def _size_of(checkpoint: Path) -> str:
-    """Its size in words; nothing if its files cannot be read any more."""
+    """Its size as text; empty if its files are unreadable."""
     try:
         return f", {sum(file.stat().st_size for file in checkpoint.iterdir()) / 1e6:.1f} MB"
     except OSError:

@@ -1,8 +1,8 @@
-"""Checkpoints: folders of files that are there whole or not at all, and whose damage is noticed.
+"""Atomic checkpoint folders with damage detection.
 
 ``<folder>/<number>/`` holds ``state.json`` (numbers, texts, generator states), ``arrays.safetensors`` and, written
-last, ``manifest.json`` with the size and SHA-256 of both. All of it is written and fsynced under a name that no
-reader looks for, then renamed.
+last, ``manifest.json`` with size and SHA-256 of both. All files are written and fsynced under a temporary name that
+readers ignore, then renamed.
 """
 
 from __future__ import annotations
@@ -36,11 +36,10 @@ Warn = Callable[[str], None]
 
 @dataclass(frozen=True)
 class Checkpoint:
-    """One that was read and found whole.
+    """A checkpoint that was read and verified.
 
     Attributes:
-        about: what it is of (small JSON data).
-        state: the state itself.
+        about: its metadata (small JSON data).
     """
 
     path: Path
@@ -49,24 +48,24 @@ class Checkpoint:
 
 
 class _DamagedError(Exception):
-    """A checkpoint that is not what its manifest says."""
+    """A checkpoint that does not match its manifest."""
 
 
 class _OtherFormatError(Exception):
-    """A checkpoint of another version of this program."""
+    """A checkpoint of another program version."""
 
 
 def write_checkpoint(folder: Path, about: Mapping[str, Any], state: Mapping[str, Any], *, keep: int = KEPT) -> Path:
-    """Write a checkpoint, after which those before the last ``keep`` are deleted.
+    """Write a checkpoint, then delete all but the last ``keep``.
 
     Args:
-        folder: of all checkpoints of one state; made if need be.
-        about: what it is of, by which a reader chooses.
-        state: the state, see ``state_tree``.
+        folder: of one state's checkpoints; created if needed.
+        about: metadata by which a reader chooses.
+        state: the state, see ``core.state_dict``.
         keep: how many to keep.
 
     Raises:
-        RunError: if it cannot be written; those before are left as they are.
+        RunError: if it cannot be written; earlier ones stay.
     """
     try:
         if folder.is_symlink():
@@ -102,7 +101,7 @@ def _write_files(fresh: Path, about: Mapping[str, Any], state: Mapping[str, Any]
 
 
 def _write(path: Path, parts: Iterator[bytes | memoryview] | list[bytes]) -> dict[str, Any]:
-    """Write and fsync a file; its entry in the manifest."""
+    """Write and fsync a file; returns its manifest entry."""
     digest, size = sha256(), 0
     with path.open("xb") as file:
         for part in parts:
@@ -115,7 +114,7 @@ def _write(path: Path, parts: Iterator[bytes | memoryview] | list[bytes]) -> dic
 
 
 def _rename(fresh: Path, folder: Path) -> Path:
-    """Give it the next number; another writer may have taken that a moment ago."""
+    """Rename it to the next free number."""
     number = max(_numbers(folder), default=0) + 1
     while True:
         path = folder / _name(number)
@@ -143,18 +142,18 @@ def _name(number: int) -> str:
 
 
 def _numbers(folder: Path) -> list[int]:
-    """Numbers of the checkpoints in a folder, the newest first."""
+    """Checkpoint numbers in a folder, newest first."""
     found = [path.name for path in folder.iterdir()] if folder.is_dir() else []
     return sorted((int(name) for name in found if name.isascii() and name.isdigit()), reverse=True)
 
 
 def newest_checkpoint(folder: Path, fits: Callable[[State], bool], warn: Warn) -> Checkpoint | None:
-    """The newest whole checkpoint of those that are meant; None if there is none.
+    """The newest intact checkpoint that fits; None if there is none.
 
     Args:
-        folder: of all checkpoints of one state.
-        fits: whether a checkpoint about this is meant; others are passed over in silence.
-        warn: told of every damaged one that is passed over.
+        folder: of one state's checkpoints.
+        fits: whether a checkpoint with this metadata is wanted; others are skipped silently.
+        warn: logs every damaged one.
     """
     if folder.is_symlink():
         warn(f"{folder} is a symbolic link: the checkpoints behind it are not read")
@@ -200,7 +199,7 @@ def _manifest(path: Path) -> dict[str, tuple[int, str]]:
 
 
 def _checked(path: Path, name: str, files: Mapping[str, tuple[int, str]]) -> bytes:
-    """A file's content, once it is found to be what the manifest says."""
+    """A file's content, verified against the manifest."""
     if name not in files:
         raise _DamagedError(f"{MANIFEST_FILE} does not name {name}")
     size, expected = files[name]
@@ -213,7 +212,7 @@ def _checked(path: Path, name: str, files: Mapping[str, tuple[int, str]]) -> byt
 
 
 def keep_newest_only(checkpoints: Path) -> None:
-    """Make room in a folder of folders of checkpoints: of each, all but the newest whole one are deleted."""
+    """Delete all but the newest intact checkpoint in each subfolder."""
     for folder in checkpoints.iterdir() if checkpoints.is_dir() else []:
         newest = newest_checkpoint(folder, lambda about: True, lambda _: None)
         for number in _numbers(folder) if newest is not None and not folder.is_symlink() else []:
@@ -222,5 +221,5 @@ def keep_newest_only(checkpoints: Path) -> None:
 
 
 def delete_checkpoints(folder: Path) -> None:
-    """Delete all checkpoints in a folder; what cannot be deleted stays."""
+    """Delete all checkpoints in a folder, as far as possible."""
     shutil.rmtree(folder, ignore_errors=True)

@@ -1,6 +1,6 @@
-"""What a run has spent, kept apart from checkpoints: written every second, and in the summary at the end.
+"""A run's counts, saved apart from checkpoints: every second, and in the final summary.
 
-Both files may be damaged. A resume never fails for it: counts that are not what they should be count as lost.
+Damage to either file never stops a resume: invalid counts count as lost.
 """
 
 from __future__ import annotations
@@ -25,11 +25,11 @@ Warn = Callable[[str], None]
 
 
 class Counts(msgspec.Struct):
-    """What ``counts.json`` must hold to be of use.
+    """The required content of ``counts.json``.
 
     Attributes:
         epochs: newest epochs by sub-task.
-        evaluated: evaluations so far.
+        evaluated: number of evaluations.
         totals: counts of each learner.
         outcome: how the run ended, if it has.
     """
@@ -55,7 +55,7 @@ class Counts(msgspec.Struct):
 
 
 def write_counts(checkpoints: Path, counts: State) -> None:
-    """Replace the counts kept between checkpoints; not fsynced, so that it can be done every second."""
+    """Replace the saved counts; no fsync, so cheap every second."""
     fresh = checkpoints / f".{COUNTS_FILE}.new"
     with open_fresh(fresh) as file:
         file.write(json.dumps(counts))
@@ -63,11 +63,11 @@ def write_counts(checkpoints: Path, counts: State) -> None:
 
 
 def read_counts(checkpoints: Path, warn: Warn = lambda _: None) -> State | None:
-    """The counts written last; None if there are none, or none that are of use.
+    """The saved counts; None if missing or unusable.
 
     Args:
-        checkpoints: folder of the run's checkpoints.
-        warn: told of a damaged file.
+        checkpoints: the run's checkpoint folder.
+        warn: logs a damaged file.
     """
     path = checkpoints / COUNTS_FILE
     try:
@@ -82,10 +82,10 @@ def read_counts(checkpoints: Path, warn: Warn = lambda _: None) -> State | None:
 
 
 def counts_of_summary(summary: Mapping[str, Any], run_id: str) -> State | None:
-    """The counts that a run's ``summary.json`` holds; None if it does not hold them.
+    """The counts in a run's ``summary.json``; None if incomplete.
 
     Args:
-        summary: what the file says.
+        summary: the file's content.
         run_id: of the run.
     """
     fields = ("interactions", "attempts", "successes", "gradient_steps")
@@ -105,5 +105,5 @@ def counts_of_summary(summary: Mapping[str, Any], run_id: str) -> State | None:
 
 
 def described(error: Exception) -> str:
-    """An error of reading a file, in one short line."""
+    """A read error in one short line."""
     return " ".join(str(error).split())[:120] or type(error).__name__

@@ -1,8 +1,7 @@
-"""Learning curves: the evaluations of runs, brought onto a common grid and summed up as mean and confidence interval.
+"""Learning curves: evaluations of several runs on a common grid, as mean and confidence interval.
 
-A curve is a step function: an evaluation holds until the next one. Runs are compared where all of them say something.
-A run that solved its task ends there and keeps its last values from then on (last value carried forward); one that
-ended without that says nothing of what would have come, so the mean ends with it.
+A curve is a step function: an evaluation holds until the next. Runs are compared where all have values. A solved run
+keeps its last values (last value carried forward). The mean ends with the first run that ended unsolved.
 """
 
 from __future__ import annotations
@@ -42,8 +41,6 @@ class RunCurves:
     """The evaluations of one run, in order.
 
     Attributes:
-        path: where they were read.
-        task: name of the task.
         solved: whether the run ended because the task was solved.
         columns: by axis or metric, float64 [n] each: environment steps, seconds, success from 0 to 1, environment
             steps of an episode, validation reward.
@@ -60,11 +57,11 @@ class MeanCurve:
     """A step function with an interval around it; all arrays are float64 [n].
 
     Attributes:
-        x: where the function changes, rising.
+        x: where the function changes, ascending.
         mean: over the runs, from x to the next x.
-        low: lower end of the confidence interval of the mean; the mean itself for one run.
+        low: lower end of the mean's confidence interval; the mean itself for one run.
         high: upper end.
-        runs: how many runs the mean is of.
+        runs: number of runs.
     """
 
     x: Floats
@@ -75,12 +72,12 @@ class MeanCurve:
 
 
 def read_run(path: Path) -> RunCurves:
-    """Read a run directory, one still being written included, or a small copy of one as in ``benchmarks/results``.
+    """Read a run directory, or a reduced copy as in ``benchmarks/results``; the run may be active.
 
-    Where a resumed run repeated a stretch, what it did before is left out.
+    Omits rows that a resumed run repeated.
 
     Raises:
-        RunError: if the folder is none of a run, has no evaluation yet, or a file is damaged.
+        RunError: if the folder holds no run or no evaluation, or a file is damaged.
     """
     found = next((path / name for name in EVALUATIONS if (path / name).is_file()), None)
     if found is None:
@@ -103,7 +100,7 @@ def _runs_inside(path: Path) -> str:
 
 
 def _about(path: Path) -> tuple[str, bool]:
-    """The task's name, and whether the run solved it; a run that goes on has no summary yet."""
+    """The task's name, and whether the run solved it."""
     try:
         if (path / SUMMARY_FILE).exists():
             summary: dict[str, Any] = json.loads((path / SUMMARY_FILE).read_text(encoding="utf-8"))
@@ -131,16 +128,16 @@ def _read_columns(path: Path) -> dict[str, Floats]:
 
 
 def _not_repeated(x: Floats) -> NDArray[np.bool_]:
-    """Rows that no later row goes back behind [n]."""
+    """Rows that no later row precedes in x [n]."""
     later = np.minimum.accumulate(np.append(x[1:], np.inf)[::-1])[::-1]
     return np.asarray(x < later)
 
 
 def step_values(x: Floats, y: Floats, grid: Floats) -> Floats:
-    """The step function through (x, y) on a grid, float64 [m]: the last y at or before each point, nan before all.
+    """The step function through (x, y) on a grid, float64 [m]: the last y at or before each point, NaN before all.
 
     Args:
-        x: rising [n].
+        x: ascending [n].
         y: [n].
         grid: [m].
     """
@@ -149,13 +146,13 @@ def step_values(x: Floats, y: Floats, grid: Floats) -> Floats:
 
 
 def common_grid(runs: Sequence[RunCurves], axis: Axis) -> Floats:
-    """Every point at which a run's step function changes, float64 [m], where all runs say something.
+    """All points where a run's step function changes, float64 [m], within the range common to all runs.
 
-    It begins where the last of them had its first evaluation. It ends with the longest run, but no later than the
-    first run to end without having solved its task.
+    The range begins at the latest first evaluation. It ends with the longest run, or with the first run that ended
+    unsolved.
 
     Raises:
-        RunError: if the runs have no stretch in common.
+        RunError: if the range is empty.
     """
     begin = max(float(run.columns[axis][0]) for run in runs)
     end = max(float(run.columns[axis][-1]) for run in runs)
@@ -173,12 +170,12 @@ def common_grid(runs: Sequence[RunCurves], axis: Axis) -> Floats:
 
 
 def mean_curve(runs: Sequence[RunCurves], axis: Axis, metric: Metric) -> MeanCurve:
-    """Mean over runs with its 95 % confidence interval, by Student's t over the runs at every point of the grid.
+    """Mean over runs with its 95 % confidence interval, by Student's t at every grid point.
 
-    The interval takes the runs for a normal sample, so that of a success rate may reach beyond 0 and 1.
+    The interval assumes a normal sample, so that of a success rate may exceed 0 and 1.
 
     Raises:
-        RunError: if the runs have no stretch in common.
+        RunError: if the runs have no common range.
     """
     grid = common_grid(runs, axis)
     values = np.stack([step_values(run.columns[axis], run.columns[metric], grid) for run in runs])
@@ -190,7 +187,7 @@ def mean_curve(runs: Sequence[RunCurves], axis: Axis, metric: Metric) -> MeanCur
 
 
 def student_t(confidence: float, freedom: int) -> float:
-    """The t for which P(|T| <= t) is ``confidence``, T having Student's distribution (by bisection).
+    """The t with P(|T| <= t) = ``confidence`` for Student's distribution (by bisection).
 
     Args:
         confidence: above 0, below 1.

@@ -47,12 +47,12 @@ def default_run_directory(task: str, seed: int) -> Path:
 
 
 def real_path(run: Path) -> Path:
-    """The folder that a run directory is, where it is given by a link such as ``latest``, or as ``.``."""
+    """A run directory with links such as ``latest``, and ``.``, resolved."""
     return run.resolve() if run.is_symlink() or run.name in ("", "..") else run
 
 
 def write_atomically(path: Path, text: str) -> None:
-    """Replace a file so that a reader sees the old text or the new one, never half of it."""
+    """Replace a file so that readers see either the old or the new text."""
     fresh = path.with_name(f".{path.name}.new")
     with open_fresh(fresh) as file:
         file.write(text)
@@ -62,7 +62,7 @@ def write_atomically(path: Path, text: str) -> None:
 
 
 def _append(path: Path, text: str) -> None:
-    """Append to a file; if the disk is full, nothing of it."""
+    """Append to a file, all or nothing."""
     data = text.encode()
     with open_to_append(path) as file:
         size = file.tell()
@@ -76,21 +76,21 @@ def _append(path: Path, text: str) -> None:
 
 
 def _is_of_a_run(name: str) -> bool:
-    """Whether a run writes something of this name into its folder, be it for a moment only."""
+    """Whether a run writes an entry of this name."""
     return name.removesuffix(".new").removeprefix("." if name.endswith(".new") else "") in FILES | FOLDERS
 
 
 def check_own_files(run: Path) -> None:
-    """Refuse a run directory in which a symbolic link takes the place of something that a run reads or writes.
+    """Reject a run directory with a symbolic link where a run reads or writes.
 
     Raises:
-        RunError: names the link.
+        RunError: with the link.
     """
     refuse_links(run, _is_of_a_run)
 
 
 def _are_of_a_run(settings: Path) -> bool:
-    """Whether settings look like those that ``write_settings`` has written."""
+    """Whether settings look as if ``write_settings`` wrote them."""
     try:
         return {"formula", "seed"} <= tomllib.loads(settings.read_text(encoding="utf-8")).keys()
     except ValueError:
@@ -98,7 +98,7 @@ def _are_of_a_run(settings: Path) -> bool:
 
 
 def _until(line: str, elapsed_s: float) -> bool:
-    """Whether a line is no row of metrics, or one of no later than ``elapsed_s``."""
+    """Whether a line is not a metrics row after ``elapsed_s``."""
     first, comma, _ = line.partition(",")
     try:
         return not comma or float(first) <= elapsed_s + ROUNDING_S
@@ -107,16 +107,16 @@ def _until(line: str, elapsed_s: float) -> bool:
 
 
 class RunDirectory:
-    """One training's folder.
+    """The folder of one run.
 
     Args:
-        path: the folder; its parents are made.
-        restart: begin anew in a folder that holds an earlier run, which is then deleted.
-        resume: go on with the run that the folder holds.
+        path: the folder; its parents are created.
+        restart: delete an earlier run in the folder and start over.
+        resume: continue the run in the folder.
 
     Raises:
-        RunError: if the folder holds a run and neither ``restart`` nor ``resume`` is given, if that run is still going
-            on, or if the folder cannot be written.
+        RunError: if the folder holds a run without ``restart`` or ``resume``, that run is active, or the folder cannot
+            be written.
     """
 
     def __init__(self, path: Path, *, restart: bool = False, resume: bool = False) -> None:
@@ -155,7 +155,7 @@ class RunDirectory:
         shutil.rmtree(self.path)
 
     def _point_latest(self) -> None:
-        """Let the link beside the folder point at it, unless something else has that name."""
+        """Point the link ``latest`` at the folder unless something else has that name."""
         latest, fresh = self.path.parent / "latest", self.path.parent / ".latest.new"
         if latest.exists() and not latest.is_symlink():
             return
@@ -164,10 +164,10 @@ class RunDirectory:
         os.replace(fresh, latest)
 
     def lock(self) -> None:
-        """Claim the folder for this process; the operating system ends the claim with it, however it ends.
+        """Lock the folder until this process ends, however it ends.
 
         Raises:
-            RunError: if another process has claimed it.
+            RunError: if another process holds the lock.
         """
         file = open_to_append(self.path / LOCK_FILE)
         if not _locked(file):
@@ -176,7 +176,7 @@ class RunDirectory:
         self._lock = file
 
     def unlock(self) -> None:
-        """Give the folder back."""
+        """Release the lock."""
         if self._lock is not None:
             self._lock.close()
             self._lock = None
@@ -187,7 +187,7 @@ class RunDirectory:
         return self.path / CHECKPOINTS_FOLDER
 
     def mend(self, elapsed_s: float) -> None:
-        """Before a resume: cut off what a killed process left half-written, and metrics of after ``elapsed_s``."""
+        """Before a resume, remove half-written lines and metrics after ``elapsed_s``."""
         for path in [self.path / EVENTS_FILE, *(self.path / "metrics").glob("*.csv")]:
             if path.exists():
                 lines = path.read_text(encoding="utf-8", errors="replace").splitlines(keepends=True)
@@ -196,14 +196,14 @@ class RunDirectory:
                     write_atomically(path, "".join(kept))
 
     def write_settings(self, config: TaskConfig, seed: int, max_interactions: int) -> None:
-        """Resolved settings and the versions of everything that computes."""
+        """Write the resolved settings and package versions."""
         run = {"run_format": RUN_FORMAT, "seed": seed, "max_interactions": max_interactions}
         settings = {key: value for key, value in config.to_dict().items() if key != "max_interactions"}
         write_atomically(self.path / CONFIG_FILE, tomli_w.dumps({**settings, **run}))
         write_atomically(self.path / VERSIONS_FILE, json.dumps(versions(), indent=1))
 
     def write_endpoints(self, control: str, state: str) -> None:
-        """Where the coordinator listens, for those who started it."""
+        """Write the coordinator's endpoints, for the process that started it."""
         write_atomically(self.path / ENDPOINTS_FILE, json.dumps({"control": control, "state": state}))
 
     def log_event(self, elapsed_s: float, text: str) -> None:
@@ -212,7 +212,7 @@ class RunDirectory:
         _append(self.path / EVENTS_FILE, json.dumps({**line, "text": text}) + "\n")
 
     def append_metrics(self, name: str, row: Mapping[str, Any]) -> None:
-        """Append a row to ``metrics/<name>.csv``; the first row decides the columns, also for a resumed run."""
+        """Append a row to ``metrics/<name>.csv``; the first row ever defines the columns."""
         path, text = self.path / "metrics" / f"{file_name(name)}.csv", io.StringIO(newline="")
         columns = _csv_columns(path)
         writer = csv.DictWriter(text, columns or list(row), extrasaction="ignore")
@@ -235,7 +235,7 @@ class RunDirectory:
 
 
 def _csv_columns(path: Path) -> list[str]:
-    """The columns that a CSV file begins with; empty without a file."""
+    """Columns of a CSV file; empty without a file."""
     try:
         with path.open(encoding="utf-8", newline="") as file:
             return next(csv.reader(file), [])
@@ -244,7 +244,7 @@ def _csv_columns(path: Path) -> list[str]:
 
 
 def _locked(file: IO[bytes]) -> bool:
-    """Lock a file; a `t4nmtd status` that tests the lock at this moment holds it for an instant only."""
+    """Lock a file; retries while `t4nmtd status` tests the lock."""
     for _ in range(LOCK_TRIES):
         try:
             fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)

@@ -1,7 +1,7 @@
-"""Event files, which TensorBoard shows as curves; written without TensorFlow and without PyTorch.
+"""TensorBoard event files, written without TensorFlow or PyTorch.
 
-Every group of curves (a learner, or the evaluations) has a folder of its own, so that TensorBoard draws the groups'
-curves of one name into one chart. The package that knows the format is an extra.
+Each group of curves (a learner, or the evaluations) has its own folder, so that TensorBoard draws curves of the same
+name into one chart. The required package is an extra.
 """
 
 from __future__ import annotations
@@ -21,32 +21,32 @@ HOW_TO_GET_IT = "pip install 't4nmtd-dist[tensorboard]'"
 
 
 def check_tensorboard(choice: TensorBoard) -> None:
-    """Check that event files can be written if they were asked for.
+    """Check that requested event files can be written.
 
     Raises:
-        ConfigError: if they cannot; says how to install what is missing.
+        ConfigError: if not; says what to install.
     """
     if choice == "on" and not _installed():
         raise ConfigError(f"--tensorboard on needs the package tensorboard, which is not installed: {HOW_TO_GET_IT}")
 
 
 def open_event_files(folder: Path, choice: TensorBoard, step: int = 0) -> EventFiles | None:
-    """Event files below ``folder``; None if they are not wanted, or (``auto``) the package is not installed.
+    """Open event files below ``folder``; None if off, or (``auto``) not installed.
 
     Args:
-        folder: made with the first curve.
+        folder: created with the first curve.
         choice: ``auto`` writes if the package is installed.
-        step: where the run goes on; what an earlier process wrote from there on is not shown any more.
+        step: first step of this process; hides what an earlier process wrote from there on.
 
     Raises:
-        ConfigError: if they were asked for and the package is not installed, or if it is damaged.
+        ConfigError: if requested and not installed, or if the package is damaged.
     """
     check_tensorboard(choice)
     if choice == "off" or not _installed():
         return None
     try:
         return EventFiles(folder, step)
-    except (ImportError, TypeError) as error:  # TypeError: from a version of protobuf that does not fit
+    except (ImportError, TypeError) as error:  # TypeError: from an incompatible version of protobuf
         raise ConfigError(f"the package tensorboard is damaged; mend it, or pass --tensorboard off: {error}") from error
 
 
@@ -55,15 +55,15 @@ def _installed() -> bool:
 
 
 class EventFiles:
-    """Scalars over steps, one file per group of curves; every ``add`` is on disk for readers at once.
+    """Scalars over steps, one file per group; each ``add`` is flushed to disk.
 
     Args:
         folder: of the groups' folders.
-        step: where the run goes on, 0 for a new one.
+        step: where a resumed run continues; 0 for a new one.
     """
 
     def __init__(self, folder: Path, step: int = 0) -> None:
-        # Imported here: it takes some 0.3 s. TensorBoard's own writer would flush from a thread, every two minutes.
+        # A lazy import, which takes about 0.3 s. TensorBoard's own writer flushes only every two minutes.
         from tensorboard.compat.proto import event_pb2, summary_pb2
         from tensorboard.summary.writer.record_writer import RecordWriter
 
@@ -74,19 +74,19 @@ class EventFiles:
         self._writers: dict[str, Any] = {}
 
     def add(self, group: str, step: int, scalars: Mapping[str, float | None]) -> None:
-        """Write a point of each curve of ``group``; a value of None is left out.
+        """Write one point per curve of ``group``; skips None.
 
         Args:
             group: name of the folder.
             step: x of the points.
-            scalars: y by name of the curve.
+            scalars: y by curve name.
         """
         known = {name: value for name, value in scalars.items() if value is not None}
         values = [self._summary.Value(tag=name, simple_value=value) for name, value in known.items()]
         self._write(group, self._event(step=step, summary=self._summary(value=values)))
 
     def close(self) -> None:
-        """Close all files; a later ``add`` goes on with them."""
+        """Close all files; a later ``add`` reopens them."""
         for writer in self._writers.values():
             writer.close()
         self._writers.clear()

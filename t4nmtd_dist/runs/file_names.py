@@ -1,4 +1,4 @@
-"""File names for sub-tasks, whose own names may hold ``~`` and ``&``."""
+"""File names for sub-tasks, whose names may contain ``~`` and ``&``."""
 
 from __future__ import annotations
 
@@ -8,10 +8,10 @@ LONGEST = 200
 
 
 def file_name(name: str) -> str:
-    """The name that logs, metrics, event files and checkpoints of a sub-task have.
+    """The file name for a sub-task's logs, metrics, event files and checkpoints.
 
-    ``~p1`` becomes ``not-p1`` and ``a&b`` becomes ``a+b``; propositions hold neither ``-`` nor ``+``. A name that
-    would be too long for a file is cut and gets a hash of the whole.
+    ``~p1`` becomes ``not-p1`` and ``a&b`` becomes ``a+b``; propositions contain neither ``-`` nor ``+``. Names that are
+    too long are truncated and get a hash.
     """
     safe = name.replace("~", "not-").replace("&", "+")
     if len(safe) <= LONGEST:

@@ -1,4 +1,4 @@
-"""Symbolic links inside a run directory: a run neither reads nor writes through them."""
+"""Symbolic links inside a run directory, which a run never follows."""
 
 from __future__ import annotations
 
@@ -11,14 +11,14 @@ from t4nmtd_dist.core.errors import RunError
 
 
 def refuse_links(folder: Path, is_of_a_run: Callable[[str], bool]) -> None:
-    """Refuse a run directory with a symbolic link where a run reads or writes.
+    """Reject a run directory with a symbolic link where a run reads or writes.
 
     Args:
-        folder: the run directory, which may be reached by a link itself.
-        is_of_a_run: whether a run uses this name at the top of its directory; other names are left alone.
+        folder: the run directory, which may itself be a link.
+        is_of_a_run: whether a run uses this top-level name; other names are ignored.
 
     Raises:
-        RunError: names the first such link.
+        RunError: with the first such link.
     """
     for entry in _entries(folder):
         if is_of_a_run(entry.name):
@@ -41,12 +41,12 @@ def _entries(folder: Path | str) -> list[os.DirEntry[str]]:
     try:
         with os.scandir(folder) as found:
             return sorted(found, key=lambda entry: entry.name)
-    except FileNotFoundError:  # a checkpoint that was deleted meanwhile
+    except FileNotFoundError:  # a checkpoint deleted meanwhile
         return []
 
 
 def open_to_append(path: Path) -> IO[bytes]:
-    """Open a file to append to it, unbuffered, and made if need be.
+    """Open a file for unbuffered appending, creating it if needed.
 
     Raises:
         OSError: if it is a symbolic link, or cannot be opened.
@@ -55,7 +55,7 @@ def open_to_append(path: Path) -> IO[bytes]:
 
 
 def open_fresh(path: Path) -> IO[str]:
-    """Open a new text file for writing; what had its name, be it a link, is deleted.
+    """Open a new text file for writing, replacing any file or link of that name.
 
     Raises:
         OSError: if it cannot be opened.

@@ -1,4 +1,4 @@
-"""What may be asked of a training run, however it is started: from a command line or from a program."""
+"""Options of a training run, from a command line or a program."""
 
 from __future__ import annotations
 

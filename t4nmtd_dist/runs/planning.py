@@ -1,4 +1,4 @@
-"""From options to a plan: begin a new run, or resume a stopped one."""
+"""Turns options into a plan: a new run, or the resume of a stopped one."""
 
 from __future__ import annotations
 
@@ -23,13 +23,11 @@ Warn = Callable[[str], object]
 
 @dataclass(frozen=True)
 class RunPlan:
-    """One run, to be begun or resumed.
+    """A run to start or resume.
 
     Attributes:
-        config: all settings.
         seed: of networks, exploration and environments.
-        directory: its folder.
-        identity: what stays the same however often it is resumed.
+        identity: constant across resumes.
         stopped: the run to resume, if any.
     """
 
@@ -46,24 +44,24 @@ class RunPlan:
 
     @property
     def solved(self) -> str:
-        """What to tell of a run that is solved already; "" if there is something to do."""
+        """A message that the run is already solved; "" if it is not."""
         if self.stopped is None or self.stopped.outcome != "solved":
             return ""
         return f"the run in {self.directory} has solved {self.config.name} already: there is nothing to go on with"
 
 
 def plan_run(options: RunOptions, *, serial: bool = False, warn: Warn = print) -> RunPlan:
-    """What the options ask for.
+    """Plan what the options request.
 
     Args:
-        options: as the user gave them.
-        serial: whether all roles share one process, in lock-step.
-        warn: called with a line about what is damaged in the run to resume and can be done without.
+        options: from the user.
+        serial: whether all roles share one process.
+        warn: logs each tolerable damage to the resumed run.
 
     Raises:
-        ConfigError: if they contradict each other or the run that is to be resumed; see also ``load_task``.
+        ConfigError: if they contradict each other or the resumed run; see also ``load_task``.
         RunError: if the run cannot be resumed.
-        TrustError: if that run names code that the user does not trust.
+        TrustError: if the resumed run names untrusted code.
     """
     check_tensorboard(options.tensorboard)
     if not options.checkpoint_every > 0:
@@ -76,12 +74,12 @@ def plan_run(options: RunOptions, *, serial: bool = False, warn: Warn = print) -
 
 
 def plan_task(config: TaskConfig, options: RunOptions, *, serial: bool = False) -> RunPlan:
-    """A new run of a task.
+    """Plan a new run of a task.
 
     Args:
         config: its settings.
-        options: budget, seed and folder are taken from there.
-        serial: whether all roles share one process, in lock-step.
+        options: for budget, seed and folder.
+        serial: whether all roles share one process.
 
     Raises:
         ConfigError: for a negative seed or a budget out of range.
@@ -131,7 +129,7 @@ def _check_same_run(options: RunOptions, stopped: StoppedRun, serial: bool) -> N
 
 
 def _check_same_settings(options: RunOptions, stopped: StoppedRun) -> TaskConfig:
-    """The run's settings, with a budget that may have been raised, and the time to compile the task as asked for."""
+    """The run's settings, with the requested budget and time limit."""
     own = stopped.config.to_dict()
     asked: Mapping[str, Any] = own
     for path in options.config:

@@ -1,4 +1,4 @@
-"""What a run came to, in the words of every report of it."""
+"""The wording of run results, shared by all reports."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ def outcome_text(summary: Mapping[str, Any], run: Path) -> str:
     """How a run ended, after how many interactions, and where its best policy is.
 
     Args:
-        summary: of the run, as ``summary.json`` has it; one of an older version will do.
+        summary: content of ``summary.json``, also from older versions.
         run: the run directory.
     """
     total, policy = int(summary["interactions_total"]), summary.get("policy")
@@ -31,16 +31,16 @@ def solved_text(first: int, total: int, in_a_row: int) -> str:
     """After how many interactions a task was solved.
 
     Args:
-        first: interactions before the first of the evaluations that solved it.
-        total: interactions in all.
-        in_a_row: how many evaluations in a row it took.
+        first: interactions before the first of the solving evaluations.
+        total: all interactions.
+        in_a_row: number of consecutive evaluations needed.
     """
     row = f" (the first of {in_a_row} evaluations in a row)" if in_a_row > 1 else ""
     return f"solved after {first:,} interactions{row}, {total:,} in all"
 
 
 def policy_text(success_rate: float, actions: str, interactions: int, run: Path) -> str:
-    """How good the exported policy is, and where."""
+    """The exported policy's success rate and location."""
     return (
         f"best evaluation {percent_text(success_rate)} with {actions} actions at {interactions:,} interactions, "
         f"policy in {run / 'policy'}"
@@ -48,10 +48,10 @@ def policy_text(success_rate: float, actions: str, interactions: int, run: Path)
 
 
 def row_text(success_needed: float) -> str:
-    """Which evaluations count towards those in a row."""
+    """Which evaluations count as consecutive successes."""
     return f"{'' if success_needed == 1 else 'at least '}{percent_text(success_needed)} successful in a row"
 
 
 def percent_text(share: float) -> str:
-    """A share from 0 to 1 in percent, exact enough not to round 0.995 to 100 %."""
+    """A share from 0 to 1 in percent, without rounding 0.995 to 100 %."""
     return f"{100 * share:.4g}%"

@@ -1,4 +1,4 @@
-"""Room on the disk that a run holds from the beginning, so that its result can be written when the disk is full."""
+"""Reserves disk space so that the result can be written on a full disk."""
 
 from __future__ import annotations
 
@@ -10,18 +10,14 @@ RESERVE_FILE = ".reserve"
 
 
 class Reserve:
-    """A file of a run directory that holds nothing but room.
-
-    Args:
-        run: the run directory.
-    """
+    """A placeholder file in a run directory."""
 
     def __init__(self, run: Path) -> None:
         self._path = run / RESERVE_FILE
         self._size = 0
 
     def hold(self, size: int) -> None:
-        """Reserve at least this many bytes; where that cannot be done, the run goes on without."""
+        """Reserve at least this many bytes, if possible."""
         if size <= self._size:
             return
         self._size = size
@@ -36,6 +32,6 @@ class Reserve:
                 os.close(descriptor)
 
     def release(self) -> None:
-        """Give the room back."""
+        """Free the space."""
         with suppress(OSError):
             self._path.unlink(missing_ok=True)

@@ -1,4 +1,4 @@
-"""What a stopped run needs to be gone on with: its identity, its settings, and where its checkpoints are."""
+"""What a resume needs: the run's identity, settings and checkpoint folders."""
 
 from __future__ import annotations
 
@@ -32,11 +32,11 @@ COORDINATOR, SERIAL = "coordinator", "serial"
 
 @dataclass(frozen=True)
 class Identity:
-    """What stays the same however often a run is resumed.
+    """What stays the same across resumes.
 
     Attributes:
-        run_id: random; checkpoints of other runs are not gone on from.
-        serial: whether it runs in one process, in lock-step.
+        run_id: random; a resume ignores checkpoints of other runs.
+        serial: whether it runs in lock-step in one process.
     """
 
     run_id: str
@@ -45,13 +45,13 @@ class Identity:
 
 @dataclass(frozen=True)
 class StoppedRun:
-    """A run directory to go on with.
+    """A run directory to resume.
 
     Attributes:
-        config: its settings; the budget is its own.
-        outcome: how it ended before; "" if it was killed.
-        interactions: spent until then, as far as its summary says, or else its counts.
-        warnings: what is damaged and can be done without.
+        config: its settings and budget.
+        outcome: how it ended; "" if it was killed.
+        interactions: from its summary, or its counts if that is damaged; 0 without a summary.
+        warnings: tolerable damage.
     """
 
     path: Path
@@ -69,14 +69,14 @@ def new_identity(*, serial: bool) -> Identity:
 
 
 def write_identity(run: Path, identity: Identity) -> None:
-    """Write it into the run's directory, where ``read_stopped_run`` finds it."""
+    """Write the identity to where ``read_stopped_run`` finds it."""
     folder = run / CHECKPOINTS_FOLDER
     folder.mkdir(parents=True, exist_ok=True)
     write_atomically(folder / IDENTITY_FILE, json.dumps(vars(identity)))
 
 
 def read_identity(checkpoints: Path) -> Identity | None:
-    """Of which run a folder of checkpoints is; None if that is not written there."""
+    """The run that a checkpoint folder belongs to; None if unknown."""
     try:
         return msgspec.json.decode((checkpoints / IDENTITY_FILE).read_bytes(), type=Identity)
     except (OSError, ValueError):
@@ -84,12 +84,12 @@ def read_identity(checkpoints: Path) -> Identity | None:
 
 
 def read_stopped_run(run: Path) -> StoppedRun:
-    """The run in a directory.
+    """Read the run in a directory.
 
     Raises:
-        RunError: if there is none, it is of another version's format, or it kept no checkpoints.
+        RunError: if there is none, its format is another version's, or it has no checkpoints.
     """
-    run = run.resolve() if run.is_symlink() else run  # `latest`, which a resume points at the run
+    run = run.resolve() if run.is_symlink() else run  # `latest`, which a resume repoints
     _check_files(run)
     if not (run / CONFIG_FILE).exists():
         raise RunError(f"{run} holds no run to resume: there is no {CONFIG_FILE} in it")
@@ -116,7 +116,7 @@ def _check_format(run: Path, found: object) -> None:
 
 
 def _with_end(run: Path, config: TaskConfig, seed: int, identity: Identity) -> StoppedRun:
-    """The run with how it ended: what its summary says, or its counts if that is damaged."""
+    """Add how the run ended, from its summary or counts."""
     if not (run / SUMMARY_FILE).exists():
         return StoppedRun(run, config, seed, identity, "", 0)
     try:
@@ -133,7 +133,7 @@ def _with_end(run: Path, config: TaskConfig, seed: int, identity: Identity) -> S
 
 
 def _outcome(run: Path, counts: State) -> str:
-    """How a run ended as far as its counts say; one that was solved has no checkpoints once its result is written."""
+    """The outcome in a run's counts; "" for a solved run that has not written its result."""
     outcome = str(counts.get("outcome") or "")
     return "" if outcome == "solved" and (run / CHECKPOINTS_FOLDER / COORDINATOR).exists() else outcome
 
@@ -146,6 +146,6 @@ def _check_files(run: Path) -> None:
 
 
 def checkpoint_folder(checkpoints: Path, place: str) -> Path:
-    """Where the checkpoints of a sub-task's learner are."""
+    """The checkpoint folder of a sub-task's learner."""
     name = file_name(place)
     return checkpoints / (f"{name}-learner" if name in (COORDINATOR, SERIAL) else name)

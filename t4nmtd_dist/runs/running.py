@@ -1,4 +1,4 @@
-"""Which runs go on now, and where their coordinators listen, as their folders tell."""
+"""Finds active runs and their coordinators' endpoints by their folders."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ LATEST = "latest"
 
 @dataclass(frozen=True)
 class Running:
-    """A run whose coordinator lives, and its endpoints as this machine reaches them."""
+    """An active run, and its endpoints as reached from this machine."""
 
     path: Path
     control: str
@@ -26,11 +26,11 @@ class Running:
 
 
 class RunOverError(RunError):
-    """The run that was named cannot be asked; the text says how it ended, or why not."""
+    """The named run cannot be queried; the text says how it ended, or why."""
 
 
 def running_runs(root: Path = RUNS) -> list[Running]:
-    """Runs below ``root``/<task>/ whose coordinators live, the one that began last first."""
+    """Active runs below ``root``/<task>/, newest first."""
     found = {path.resolve(): path for path in root.glob(f"*/*/{ENDPOINTS_FILE}") if path.parent.name != LATEST}
     newest_first = sorted(found.values(), key=_written, reverse=True)
     return [_read(path.parent) for path in newest_first if _is_locked(path.parent)]
@@ -71,7 +71,7 @@ def _written(path: Path) -> float:
 
 
 def _is_locked(path: Path) -> bool:
-    """Whether a live process has claimed the folder (``RunDirectory.lock``)."""
+    """Whether a live process holds the folder's lock (``RunDirectory.lock``)."""
     try:
         with (path / LOCK_FILE).open(encoding="utf-8") as file:
             fcntl.flock(file, fcntl.LOCK_SH | fcntl.LOCK_NB)

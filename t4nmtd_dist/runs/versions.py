@@ -1,4 +1,4 @@
-"""The versions of everything that computes in a run."""
+"""Versions of the software that a run uses."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ GIT_S = 5.0
 
 
 def versions() -> dict[str, str]:
-    """Of this package (and its commit, where it is a Git checkout), of Python, and of the packages that compute."""
+    """Versions of this package (with its Git commit), Python, and the packages that compute."""
     found = {"t4nmtd-dist": __version__, "python": platform.python_version()}
     commit = commit_of(SOURCES)
     if commit:
@@ -25,7 +25,7 @@ def versions() -> dict[str, str]:
 
 
 def commit_of(checkout: Path) -> str | None:
-    """The commit that is checked out, with ``-dirty`` after it if tracked files differ; None if it cannot be told."""
+    """The checked-out commit, with ``-dirty`` if tracked files differ; None if unknown."""
     if not (checkout / ".git").exists():
         return None
     command = ["git", "-C", str(checkout), "describe", "--always", "--dirty", "--abbrev=12", "--exclude=*"]

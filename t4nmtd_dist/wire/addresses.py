@@ -1,4 +1,4 @@
-"""Addresses: which one of this machine's others can use, and where a socket that is bound to all of them is."""
+"""Local addresses: how other machines reach this one."""
 
 from __future__ import annotations
 
@@ -23,16 +23,16 @@ def split_endpoint(endpoint: str) -> tuple[str, str]:
 
 
 def here(endpoint: str) -> str:
-    """How this machine itself reaches what is bound to an endpoint."""
+    """The endpoint by which this machine reaches what is bound to ``endpoint``."""
     host, port = split_endpoint(endpoint)
     return f"tcp://{LOOPBACK}:{port}" if host in EVERYWHERE else endpoint
 
 
 def address_towards(endpoint: str) -> str:
-    """This machine's address on its way to an endpoint; nothing is sent.
+    """This machine's address on the route to an endpoint; sends nothing.
 
     Raises:
-        ConfigError: if the host's name is unknown, or there is no way to it.
+        ConfigError: if the host name is unknown, or there is no route.
     """
     host, port = split_endpoint(endpoint)
     try:
@@ -46,13 +46,13 @@ def address_towards(endpoint: str) -> str:
 
 
 def critic_endpoints(coordinator: str, host: str, port: int, advertise: str) -> tuple[str, str]:
-    """Where a learner binds its critics' socket, and the host under which its peers find it.
+    """The endpoint where a learner binds its critic socket, and the host it advertises to peers.
 
     Args:
         coordinator: the coordinator's endpoint.
-        host: address to bind; empty for the one on the way to the coordinator.
+        host: address to bind; empty for the one on the route to the coordinator.
         port: port to bind; 0 for any free one.
-        advertise: host to tell the peers; empty for the bound one, or if that is all of them, the one on the way.
+        advertise: advertised host; empty for the bound address, or the one on the route if bound to all interfaces.
 
     Raises:
         ConfigError: see ``address_towards``.

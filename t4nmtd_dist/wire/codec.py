@@ -1,4 +1,4 @@
-"""Framing: a msgpack header, then one raw frame per array; everything is checked before it is used."""
+"""Framing: a msgpack header, then one raw frame per array, all validated before use."""
 
 from __future__ import annotations
 
@@ -27,9 +27,9 @@ MAX_ARRAY_BYTES = 16 << 20
 MAX_MESSAGE_BYTES = 32 << 20
 MAX_ARRAYS = 1024
 MAX_DIMENSIONS = 8
-BYTES_PER_ITEM = 32  # of a header, at least, for each item of its longest list: bounds what msgpack allocates ahead
+BYTES_PER_ITEM = 32  # minimum header bytes per list item: bounds what msgpack preallocates
 
-ArrayName = Annotated[str, Meta(max_length=LONGEST_NAME + 300)]  # of a sub-task, and of a parameter
+ArrayName = Annotated[str, Meta(max_length=LONGEST_NAME + 300)]  # sub-task name plus parameter name
 DtypeName = Annotated[str, Meta(max_length=8)]
 
 
@@ -46,13 +46,12 @@ class Header(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
 @dataclass(frozen=True)
 class Envelope:
-    """A message with its arrays and where it came from.
+    """A message with its arrays and sender.
 
     Attributes:
-        message: the typed body.
-        arrays: arrays by name; after decoding they are read-only views of the received frames.
-        sender: name the sender gave itself.
-        id: number of the message; an answer carries the number of its question.
+        arrays: by name; after decoding, read-only views of the frames.
+        sender: the sender's self-declared name.
+        id: message number; a reply repeats its request's.
     """
 
     message: Message
@@ -62,7 +61,11 @@ class Envelope:
 
 
 def encode(envelope: Envelope) -> list[bytes]:
-    """The frames of a message: header, then arrays (C order, little-endian)."""
+    """The frames of a message: header, then arrays (C order, little-endian).
+
+    Raises:
+        ProtocolError: if an array's dtype, or the arrays' number or size, is not allowed.
+    """
     body = msgspec.to_builtins(envelope.message)
     kind = body.pop("type")
     arrays = {name: np.asarray(array, order="C") for name, array in envelope.arrays.items()}
@@ -80,7 +83,7 @@ def encode(envelope: Envelope) -> list[bytes]:
 
 
 def _check_sizes(arrays: Arrays) -> None:
-    """Refuse here what the other side would refuse by ending the connection."""
+    """Reject what would make the receiver drop the connection."""
     for name, array in arrays.items():
         if array.nbytes > MAX_ARRAY_BYTES:
             raise ProtocolError(f"array {name!r} has {array.nbytes} bytes; a message takes {MAX_ARRAY_BYTES} at most")
@@ -100,14 +103,14 @@ def _dtype_name(name: str, array: Array) -> str:
 
 
 def decode(frames: Sequence[bytes], *, header_bytes: int = MAX_HEADER_BYTES) -> Envelope:
-    """Read and check the frames of one message, in time proportional to their size.
+    """Decode and validate one message, in time proportional to its size.
 
     Args:
         frames: header and arrays.
         header_bytes: the largest header to accept.
 
     Raises:
-        ProtocolError: if anything does not follow the protocol; the text says what.
+        ProtocolError: with the violation.
     """
     if not frames:
         raise ProtocolError("expected a header frame, got an empty message")
@@ -128,7 +131,7 @@ def _header(frame: bytes, most: int) -> Header:
     items = most // BYTES_PER_ITEM
     try:
         raw = msgpack.unpackb(frame, max_array_len=items, max_map_len=items)
-    except Exception as error:  # msgpack raises a whole family on malformed input
+    except Exception as error:  # msgpack raises many exception types on malformed input
         raise ProtocolError(shortened(f"the header is not msgpack: {error}")) from None
     version = raw.get("v") if isinstance(raw, dict) else None
     if version != PROTOCOL_VERSION:
@@ -168,15 +171,15 @@ def _array(name: str, dtype: str, shape: list[int], frame: bytes) -> Array:
 
 
 def _sides_fit(shape: list[int]) -> bool:
-    """Whether numpy takes a shape: it multiplies the sides beside an empty one, too."""
+    """Whether numpy accepts a shape: its size check ignores empty sides."""
     return math.prod(max(side, 1) for side in shape) <= MAX_ARRAY_BYTES
 
 
 def with_prefix(prefix: str, arrays: Arrays) -> dict[str, Array]:
-    """The same arrays under names that begin with ``prefix``."""
+    """The arrays with ``prefix`` added to their names."""
     return {prefix + name: array for name, array in arrays.items()}
 
 
 def without_prefix(prefix: str, arrays: Arrays) -> dict[str, Array]:
-    """The arrays whose names begin with ``prefix``, under the rest of their names."""
+    """The arrays whose names begin with ``prefix``, without it."""
     return {name.removeprefix(prefix): array for name, array in arrays.items() if name.startswith(prefix)}

@@ -1,8 +1,7 @@
-"""Bounds what the connections of a bound socket make libzmq buffer, and how many there are.
+"""Bounds the connections of a bound socket and what they make libzmq buffer.
 
-libzmq hands a message over once its last frame has arrived, and its own limits are per frame. So this guard looks at
-the connections themselves: the kernel counts the bytes that each has received, and what was received and not yet handed
-over lies in a buffer. A connection that exceeds its limit is shut down, which frees the buffer.
+libzmq delivers a message after its last frame and only limits single frames. This guard compares the bytes each
+connection has received, which the kernel counts, with those delivered. Shutting a connection down frees its buffer.
 """
 
 from __future__ import annotations
@@ -27,24 +26,23 @@ from t4nmtd_dist.wire.zmq_types import MONITORED, Socket
 
 WATCHED = MONITORED | zmq.EVENT_ACCEPTED | zmq.EVENT_CLOSED
 QUIET_MS, BUSY_MS = 20, 2
-BUSY_BYTES = 4096  # received since the last look: look again soon
-SMALL_FRAMES_BYTES = 64 << 10  # from which on growth of the process is blamed on what is unread
+BUSY_BYTES = 4096  # received since the last check: check again soon
+SMALL_FRAMES_BYTES = 64 << 10  # unread bytes above which process growth is blamed on them
 GROWTH_BYTES = 32 << 20
-MOST_GROWTH_BYTES = 4 * GROWTH_BYTES  # however little each connection has unread
-SUBSTANTIAL = 16  # this part of what may be unread: growth of the process is not blamed on a connection with less
-TRIM_AFTER_S = 0.5  # in which libzmq frees what it had buffered
-TOTAL = 2  # all connections together may have this many times unread what one may
+MOST_GROWTH_BYTES = 4 * GROWTH_BYTES  # above this, blame all connections together
+SUBSTANTIAL = 16  # process growth is not blamed on less than 1/16 of the unread limit
+TRIM_AFTER_S = 0.5  # time for libzmq to free its buffers
+TOTAL = 2  # unread limit of all connections together, in multiples of the limit of one
 
 
 @dataclass
 class _Account:
-    """What is known of one connection.
+    """Byte counts of one connection.
 
     Attributes:
-        connection: the TCP connection.
-        base: bytes received when everything that was complete had been handed over.
-        delivered: bytes of messages handed over since.
-        received: bytes received at the last look.
+        base: bytes received when the socket was last drained.
+        delivered: bytes of messages delivered since then.
+        received: bytes received at the last check.
     """
 
     connection: Connection
@@ -54,18 +52,16 @@ class _Account:
 
     @property
     def unread(self) -> int:
-        """Bytes received and not handed over, framing included."""
+        """Bytes received and not delivered, framing included."""
         return max(0, self.received - self.base - self.delivered)
 
 
 class ConnectionGuard:
-    """Watches all connections of one bound socket in a thread of its own; make it before the socket is used.
+    """Watches all connections of a bound socket in its own thread; create it before using the socket.
 
     Args:
-        socket: the bound socket.
-        limits: what each connection may do.
-        tell: called from that thread with a line about each connection that is shut down.
-        failed: called from that thread with the outcome of each handshake that fails.
+        tell: logs, in that thread, each connection shut down.
+        failed: called in that thread with the outcome of each failed handshake.
     """
 
     def __init__(
@@ -83,14 +79,14 @@ class ConnectionGuard:
         self._thread.start()
 
     def close(self) -> None:
-        """Stop watching; call it before the socket is closed."""
+        """Stop watching; call this before closing the socket."""
         self._stop.set()
         self._thread.join(timeout=2.0)
         self._socket.disable_monitor()
         self._monitor.close(0)
 
     def delivered(self, over: Connection | None, size: int) -> None:
-        """A message of ``size`` bytes over a connection was handed over."""
+        """Record that a message of ``size`` bytes was delivered from a connection."""
         with self._lock:
             if self._memory_before:
                 self._memory_before += size  # its receiver may keep it
@@ -99,7 +95,7 @@ class ConnectionGuard:
                 account.delivered += size
 
     def drained(self) -> None:
-        """No complete message waits any more: what is buffered now belongs to messages under way."""
+        """Record that only incomplete messages are buffered."""
         with self._lock:
             for account in self._accounts.values():
                 if account.delivered:
@@ -145,7 +141,7 @@ class ConnectionGuard:
                 self._accounts.pop(ended, None)
 
     def _look(self) -> bool:
-        """Count what has come, and end who sent too much; whether much came."""
+        """Update byte counts and end greedy connections; whether much arrived."""
         busy = False
         with self._lock:
             for account in list(self._accounts.values()):
@@ -160,7 +156,7 @@ class ConnectionGuard:
         return busy
 
     def _bound_all(self) -> None:
-        """Of all connections together, end the one with most unread if that is too much, or costs too much memory."""
+        """End the connection with the most unread bytes if all together cost too much."""
         most = max(self._accounts.values(), key=lambda account: account.unread, default=None)
         unread = sum(account.unread for account in self._accounts.values())
         if most is None or unread < SMALL_FRAMES_BYTES:
@@ -174,7 +170,7 @@ class ConnectionGuard:
             self._memory_before = 0
 
     def _costs_too_much(self, grown: int, most: int, unread: int) -> bool:
-        """Whether the process has grown by too much, and what is unread of one connection, or of all, explains it."""
+        """Whether unread bytes explain too much growth of the process."""
         substantial = self._limits.unread_bytes // SUBSTANTIAL
         blamed = unread if grown > MOST_GROWTH_BYTES else most
         return grown > GROWTH_BYTES and blamed > substantial
@@ -191,11 +187,11 @@ class ConnectionGuard:
 
 
 def _resident() -> int:
-    """Bytes of this process that are in memory (Linux)."""
+    """Resident memory of this process in bytes (Linux)."""
     return int(Path("/proc/self/statm").read_text(encoding="ascii").split()[1]) * os.sysconf("SC_PAGESIZE")
 
 
 def _give_memory_back() -> None:
-    """Return freed memory to the system: glibc keeps the many small pieces that subscriptions and frames were."""
+    """Return freed memory to the system; glibc retains small blocks."""
     with suppress(AttributeError, OSError, TypeError):
         ctypes.CDLL(None).malloc_trim(0)

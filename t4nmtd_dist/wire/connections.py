@@ -1,4 +1,4 @@
-"""TCP connections that libzmq owns: how much one has received, and how to end it."""
+"""Inspects and ends TCP connections owned by libzmq."""
 
 from __future__ import annotations
 
@@ -16,13 +16,13 @@ BYTES_RECEIVED = 128  # offset of tcpi_bytes_received in Linux's struct tcp_info
 
 @dataclass(frozen=True)
 class Connection:
-    """A connection by its descriptor, and by the inode that tells it from a later one of the same number."""
+    """A connection's descriptor, and the inode that detects a reused descriptor."""
 
     descriptor: int
     inode: int
 
     def received(self) -> int | None:
-        """Bytes received so far; None where the kernel does not tell, or the connection has ended."""
+        """Bytes received so far; None if unknown or the connection has ended."""
         if sys.platform != "linux":
             return None
         with suppress(OSError):
@@ -36,7 +36,7 @@ class Connection:
         return None
 
     def end(self) -> bool:
-        """Shut it down; False if it had ended already."""
+        """Shut it down; False if it had already ended."""
         with suppress(OSError), sockets.socket(fileno=os.dup(self.descriptor)) as duplicate:
             if os.fstat(duplicate.fileno()).st_ino == self.inode:
                 duplicate.shutdown(sockets.SHUT_RDWR)

@@ -1,4 +1,4 @@
-"""Endpoints by default, and what an endpoint must look like; imports nothing heavy, for the command lines."""
+"""Default endpoints and their validation, without heavy imports."""
 
 from __future__ import annotations
 
@@ -10,10 +10,10 @@ CONTROL_PORT, STATE_PORT = 5570, 5571
 
 
 def check_endpoint(endpoint: str) -> None:
-    """Refuse what is not ``tcp://HOST:PORT``.
+    """Reject anything but ``tcp://HOST:PORT``.
 
     Raises:
-        ConfigError: with the form that was expected.
+        ConfigError: with the expected form.
     """
     scheme, _, rest = endpoint.partition("://")
     host, _, port = rest.rpartition(":")
@@ -24,10 +24,10 @@ def check_endpoint(endpoint: str) -> None:
 
 
 def complete_endpoint(text: str, port: int) -> str:
-    """``tcp://HOST:PORT`` from that, from ``HOST:PORT``, or from ``HOST`` alone with the usual port.
+    """Complete ``tcp://HOST:PORT``, ``HOST:PORT`` or ``HOST`` (with the default port) to an endpoint.
 
     Raises:
-        ConfigError: if it can be none of these.
+        ConfigError: if the text has none of these forms.
     """
     endpoint = text if "://" in text else f"tcp://{text}"
     if ":" not in endpoint.partition("://")[2]:

@@ -1,4 +1,4 @@
-"""Types of message fields with their bounds: no number, name or list from the wire is unbounded."""
+"""Bounded types of message fields."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ LARGEST_AMOUNT = 1e12
 LONGEST_NAME = 1000  # sub-tasks are named by their literals
 LONGEST_TEXT = 500
 
-# Controls, formats (bidirectional marks, zero-width characters) and separators of lines: categories Cc, Cf, Zl, Zp.
+# Control, format (bidirectional marks, zero-width characters) and line-separating characters: Cc, Cf, Zl, Zp.
 HIDDEN = (
     "\x00-\x1f\x7f-\x9f\xad\u0600-\u0605\u061c\u06dd\u070f\u0890\u0891\u08e2\u180e\u200b-\u200f\u2028-\u202e"
     "\u2060-\u2064\u2066-\u206f\ufeff\ufff9-\ufffb\U000110bd\U000110cd\U00013430-\U0001343f\U0001bca0-\U0001bca3"
@@ -49,13 +49,13 @@ Address = Annotated[str, Meta(max_length=300, pattern=PRINTABLE)]
 
 
 def shortened(text: str) -> str:
-    """A text for people without hidden characters, cut to ``LONGEST_TEXT``: it may quote what a stranger sent."""
+    """A text for display that may quote untrusted input: no hidden characters, at most ``LONGEST_TEXT``."""
     cleaned = "".join(c if c.isprintable() else "?" for c in text[: LONGEST_TEXT + 1])
     return cleaned if len(cleaned) <= LONGEST_TEXT else cleaned[: LONGEST_TEXT - 3] + "..."
 
 
 def explained(error: Exception) -> str:
-    """What msgspec says of a value, without the pattern of ``PRINTABLE``."""
+    """The validation message of msgspec without the pattern of ``PRINTABLE``."""
     return shortened(
         re.sub(r"matching regex '.*'", "without control, format or line-separating characters", str(error))
     )

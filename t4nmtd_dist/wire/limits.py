@@ -1,4 +1,4 @@
-"""How much a connection may send to each bound socket."""
+"""Limits on what a connection may send to each bound socket."""
 
 from __future__ import annotations
 
@@ -14,16 +14,16 @@ BURST_S = 4.0
 
 @dataclass(frozen=True)
 class Limits:
-    """Of one bound socket, for each of its connections.
+    """Limits of one bound socket, per connection.
 
     Attributes:
-        frame_bytes: size of one frame; ZeroMQ drops the connection of a sender that exceeds it.
-        messages_per_s: messages a second, averaged over ``BURST_S`` seconds.
-        bytes_per_s: bytes a second, likewise.
-        unread_bytes: bytes that a connection may have sent and that were not handed over yet: a connection that
-            exceeds it is ended. On the state socket, where no message is handed over, all bytes that it ever sends.
-        connections: most connections at a time.
-        queued: most messages that wait to be sent over one connection.
+        frame_bytes: size of one frame; ZeroMQ drops senders that exceed it.
+        messages_per_s: messages per second, averaged over ``BURST_S`` seconds.
+        bytes_per_s: bytes per second, averaged likewise.
+        unread_bytes: bytes received but not delivered; exceeding it ends the connection. The state socket delivers
+            nothing, so there it bounds all bytes ever received.
+        connections: maximum number of connections.
+        queued: maximum send queue, in messages.
     """
 
     frame_bytes: int
@@ -34,11 +34,11 @@ class Limits:
     queued: int = 100
 
 
-STARTS_BYTES = MAX_ARRAY_BYTES // 2  # of the start states in one message
+STARTS_BYTES = MAX_ARRAY_BYTES // 2  # limit of the start states in one message
 
 
 def most_starts(count: int, size: int) -> int:
-    """How many start states of ``size`` bytes, up to ``count`` and one at least, go into a message."""
+    """How many start states of ``size`` bytes fit into a message: from 1 to ``count``."""
     return min(count, max(1, STARTS_BYTES // max(1, size)))
 
 
@@ -49,18 +49,14 @@ STATE_LIMITS = Limits(1024, 10, 1024, unread_bytes=4096, connections=64, queued=
 
 
 class RateLimiter:
-    """A pair of token buckets for every connection.
-
-    Args:
-        limits: the rates.
-    """
+    """Two token buckets per connection, for messages and bytes."""
 
     def __init__(self, limits: Limits) -> None:
         self.limits = limits
         self._spent: OrderedDict[bytes, tuple[float, float, float]] = OrderedDict()
 
     def allows(self, peer: bytes, size: int, now: float | None = None) -> bool:
-        """Count a message of ``size`` bytes; False, and not counted, if its connection has sent too much."""
+        """Count a message of ``size`` bytes; False, uncounted, if its connection exceeds a rate."""
         now = time.monotonic() if now is None else now
         messages, volume, since = self._spent.pop(peer, (0.0, 0.0, now))
         messages = max(0.0, messages - (now - since) * self.limits.messages_per_s)

@@ -1,4 +1,4 @@
-"""Progress and start states as arrays of a message: each pair of functions packs and unpacks one kind."""
+"""Packs and unpacks progress and start states as message arrays."""
 
 from __future__ import annotations
 
@@ -23,10 +23,10 @@ Start = tuple[int, NDArray[Any]]
 
 @dataclass(frozen=True)
 class PackedProgress:
-    """What the arrays of a Sync hold.
+    """The content of a Sync's arrays.
 
     Attributes:
-        changes: of the DFA state, in order.
+        changes: DFA state changes, in order.
         starts: start states (q', snapshot).
     """
 
@@ -35,7 +35,7 @@ class PackedProgress:
 
 
 def pack_progress(changes: Sequence[Change], starts: Sequence[Start]) -> dict[str, NDArray[Any]]:
-    """Arrays ``progress.*`` and ``starts.*`` of a Sync; nothing for what is empty."""
+    """Arrays ``progress.*`` and ``starts.*`` of a Sync; empty inputs add no arrays."""
     return pack_changes(changes) | pack_starts(starts)
 
 
@@ -45,16 +45,16 @@ def unpack_progress(arrays: Arrays, dfa_states: int, like: NDArray[Any] | None =
     Args:
         arrays: of the message.
         dfa_states: |Q|.
-        like: a start state received before, if any: all of a run have the same type and size.
+        like: an earlier start state, if any, whose dtype and size all must share.
 
     Raises:
-        ProtocolError: if shapes do not fit together, a DFA state does not exist, or a number is out of range.
+        ProtocolError: if shapes or dtypes do not match, a DFA state does not exist, or a number is out of range.
     """
     return PackedProgress(unpack_changes(arrays, dfa_states), unpack_starts(arrays, dfa_states, like))
 
 
 def pack_changes(changes: Sequence[Change]) -> dict[str, NDArray[Any]]:
-    """Arrays ``progress.q`` int32 [n, 3] and ``progress.reward`` float64 [n]; nothing for no changes."""
+    """Arrays ``progress.q`` int32 [n, 3] and ``progress.reward`` float64 [n]; none without changes."""
     if not changes:
         return {}
     return {
@@ -90,13 +90,13 @@ def _check_rewards(rewards: NDArray[Any], count: int) -> None:
 
 
 def newest_starts(starts: Sequence[Start], count: int) -> list[Start]:
-    """The newest distinct start states, up to ``count`` and as many as fit into a message, the oldest first."""
+    """The newest distinct start states, oldest first: at most ``count`` and what fits into a message."""
     distinct = list({(q, state.tobytes()): (q, state) for q, state in starts}.values())
     return distinct[-most_starts(count, distinct[-1][1].nbytes) :] if distinct else []
 
 
 def pack_starts(starts: Sequence[Start]) -> dict[str, NDArray[Any]]:
-    """Arrays ``starts.q`` int32 [m] and ``starts.state`` [m, s]; nothing for no start states."""
+    """Arrays ``starts.q`` int32 [m] and ``starts.state`` [m, s]; none without start states."""
     if not starts:
         return {}
     return {
@@ -106,7 +106,7 @@ def pack_starts(starts: Sequence[Start]) -> dict[str, NDArray[Any]]:
 
 
 def unpack_starts(arrays: Arrays, dfa_states: int, like: NDArray[Any] | None = None) -> list[Start]:
-    """Read ``starts.*`` of a Sync or of the answer to one.
+    """Read ``starts.*`` of a Sync or a SyncReply.
 
     Raises:
         ProtocolError: see ``unpack_progress``.

@@ -1,4 +1,4 @@
-"""A log that passes each line on once in ten minutes, however often it is logged."""
+"""A log that forwards each line at most once in ten minutes."""
 
 from __future__ import annotations
 
@@ -13,12 +13,12 @@ Log = Callable[[str], None]
 
 
 class RateLimitedLog:
-    """Passes a line on unless the same one was passed on in the last ten minutes; usable from any thread.
+    """Forwards a line unless it did so in the last ten minutes; thread-safe.
 
-    Of different lines there are at most 100 in ten minutes: who invents keys cannot fill a disk.
+    It forwards at most 100 different lines in ten minutes, so an attacker cannot fill the disk.
 
     Args:
-        log: called with each line that is passed on.
+        log: called with each forwarded line.
     """
 
     def __init__(self, log: Log) -> None:
@@ -27,7 +27,7 @@ class RateLimitedLog:
         self._lock = threading.Lock()
 
     def log(self, text: str) -> None:
-        """Pass a line on, unless it was passed on lately."""
+        """Forward a line unless it was forwarded recently."""
         now = time.monotonic()
         with self._lock:
             self._seen = {line: at for line, at in self._seen.items() if at + QUIET_S > now}

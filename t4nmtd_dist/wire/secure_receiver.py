@@ -1,4 +1,4 @@
-"""What a bound socket takes in: only from keys that are still allowed, and only as much as its limits allow."""
+"""Receives messages from allowed keys only, within a bound socket's limits."""
 
 from __future__ import annotations
 
@@ -20,11 +20,11 @@ from t4nmtd_dist.wire.zmq_types import Socket
 
 @dataclass(frozen=True)
 class Arrival:
-    """A message at a ROUTER.
+    """A message received by a ROUTER.
 
     Attributes:
         peer: the connection it came over.
-        key: the sender's public key; empty on a socket without keys.
+        key: the sender's public key; empty without keys.
         content: the message, or why it cannot be read.
     """
 
@@ -36,15 +36,13 @@ class Arrival:
 class SecureReceiver:
     """Receives at a bound ROUTER or XPUB socket, within limits and from allowed keys only.
 
-    ZeroMQ asks for a key in the handshake only. So each message's key is looked up again, and ``disconnect_revoked``
-    ends connections whose key is no longer allowed: libzmq tells which descriptor a message came over.
+    ZeroMQ checks keys only in the handshake; the receiver checks the key of every message. ``disconnect_revoked`` ends
+    connections whose key is no longer allowed.
 
     Args:
-        socket: the bound socket.
-        limits: what each connection may send.
-        allowed: who may connect; None for a socket without keys.
-        tell: called with a line about each connection that is shut out or sends too much.
-        guard: counts what is handed over of each connection.
+        allowed: the allowed keys; None for a socket without keys.
+        tell: logs each connection ended or over its rate.
+        guard: counts delivered bytes per connection.
     """
 
     def __init__(
@@ -60,7 +58,7 @@ class SecureReceiver:
         self._keys: OrderedDict[Connection, str] = OrderedDict()
 
     def arrivals(self, most: int) -> Iterator[Arrival]:
-        """The messages that wait at a ROUTER, at most ``most`` of them, refused ones included in the count."""
+        """Yield the messages waiting at a ROUTER; reads at most ``most``, rejected ones included."""
         for _ in range(most):
             try:
                 frames = self._socket.recv_multipart(flags=zmq.NOBLOCK, copy=False)
@@ -78,10 +76,10 @@ class SecureReceiver:
             yield Arrival(peer, key, _decoded([frame.bytes for frame in content]))
 
     def subscribed(self, most: int) -> bool:
-        """Take up to ``most`` messages from an XPUB; whether one is a subscription of somebody allowed.
+        """Read up to ``most`` messages from an XPUB; whether an allowed client subscribed.
 
-        What exceeds the rates counts as none. It is not grounds to end the connection that the frame names: that may
-        have ended long ago, and its descriptor be another one's. The guard ends whoever subscribes to too much.
+        Subscriptions over the rate limit are ignored. Their connection is not ended here, because its descriptor may
+        already belong to another one; the guard ends it if needed.
         """
         subscribed = False
         for _ in range(most):
@@ -96,7 +94,7 @@ class SecureReceiver:
         return subscribed
 
     def _key(self, frame: zmq.Frame) -> str | None:
-        """The sender's key ("" on a socket without keys), or None for one that is not allowed."""
+        """The sender's key, "" on a socket without keys, or None if not allowed."""
         if self._allowed is None:
             return ""
         key = _text(frame, "User-Id")

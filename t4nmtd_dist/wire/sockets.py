@@ -1,4 +1,4 @@
-"""ZeroMQ sockets as this project uses them: bounded queues, bounded messages, nothing that blocks for ever."""
+"""ZeroMQ sockets with bounded queues, bounded messages and no indefinite blocking."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from t4nmtd_dist.wire.endpoints import check_endpoint
 from t4nmtd_dist.wire.zmq_types import MONITORED, Context, Socket
 
 QUEUED_MESSAGES = 1000
-ENCRYPTION_BYTES = 64  # what CURVE adds to a frame, generously
+ENCRYPTION_BYTES = 64  # upper bound on what CURVE adds to a frame
 HANDSHAKE_MS = 10_000
 
 
@@ -37,19 +37,19 @@ def bind(
     frame_bytes: int = MAX_ARRAY_BYTES,
     queued: int = QUEUED_MESSAGES,
 ) -> Socket:
-    """A bound ROUTER or XPUB socket.
+    """Bind a ROUTER or XPUB socket.
 
     Args:
         context: the process's context.
         kind: ``zmq.ROUTER`` or ``zmq.XPUB``.
         endpoint: ``tcp://ADDRESS:PORT``; port ``*`` takes any free one.
-        insecure: allow an address that other machines can reach without keys.
-        own: the pair by which clients know this socket; an ``Authenticator`` of the context decides who gets in.
-        frame_bytes: the largest frame taken.
-        queued: most messages that wait to be sent over one connection.
+        insecure: allow binding without keys beyond loopback.
+        own: the socket's key pair; the context's ``Authenticator`` decides who may connect.
+        frame_bytes: the largest accepted frame.
+        queued: maximum send queue per connection, in messages.
 
     Raises:
-        ConfigError: if the port is in use, the endpoint is malformed, or it is not on loopback and has no keys.
+        ConfigError: if the endpoint is malformed, unavailable, or beyond loopback without keys.
     """
     check_endpoint(endpoint)
     if not insecure and own is None and not on_loopback(endpoint):
@@ -77,7 +77,7 @@ def _serve_keys(socket: Socket, own: KeyPair) -> None:
     socket.setsockopt(zmq.CURVE_PUBLICKEY, own.public.encode())
     socket.setsockopt(zmq.CURVE_SECRETKEY, own.secret.encode())
     socket.setsockopt(zmq.ZAP_DOMAIN, b"t4nmtd")
-    socket.setsockopt(zmq.ZAP_ENFORCE_DOMAIN, 1)  # without an authenticator nobody gets in, instead of everybody
+    socket.setsockopt(zmq.ZAP_ENFORCE_DOMAIN, 1)  # without an authenticator, reject all instead of accepting all
 
 
 def _present_keys(socket: Socket, keys: ClientKeys) -> None:
@@ -87,7 +87,7 @@ def _present_keys(socket: Socket, keys: ClientKeys) -> None:
 
 
 def bound_endpoint(socket: Socket) -> str:
-    """Where a socket really listens (its port is known even if ``*`` was asked for)."""
+    """The endpoint a socket listens at, with its actual port."""
     endpoint = socket.getsockopt(zmq.LAST_ENDPOINT)
     assert isinstance(endpoint, bytes)
     return endpoint.decode()
@@ -101,14 +101,14 @@ def connect(
     handshake_ms: int = HANDSHAKE_MS,
     monitored: bool = False,
 ) -> Socket:
-    """A connected DEALER that queues nothing while its peer is away.
+    """Connect a DEALER that queues nothing while its peer is away.
 
     Args:
         context: the process's context.
         endpoint: ``tcp://HOST:PORT``.
-        keys: what to prove oneself by, and the key that the other side must have.
-        handshake_ms: how long to wait for an answer to the handshake before trying again.
-        monitored: keep what happens from the first moment for a ``HandshakeMonitor``.
+        keys: this client's pair and the server's public key.
+        handshake_ms: timeout of a handshake attempt.
+        monitored: record events from the start for a ``HandshakeMonitor``.
 
     Raises:
         ConfigError: if the endpoint is malformed or cannot be connected to.
@@ -134,7 +134,7 @@ def _connected(socket: Socket, endpoint: str, keys: ClientKeys | None, monitored
 
 
 def subscribe(context: Context, endpoint: str, keys: ClientKeys | None = None, *, monitored: bool = False) -> Socket:
-    """A SUB socket for everything that an XPUB publishes; ``keys`` and ``monitored`` as for ``connect``.
+    """A SUB socket for everything an XPUB publishes; ``keys`` and ``monitored`` as for ``connect``.
 
     Raises:
         ConfigError: if the endpoint is malformed or cannot be connected to.
@@ -157,13 +157,17 @@ def on_loopback(endpoint: str) -> bool:
 
 
 def send(socket: Socket, envelope: Envelope, *, peer: bytes | None = None) -> bool:
-    """Send a message without waiting; False if the other side is away or does not take any more."""
+    """Send without blocking; False if the peer is away or its queue is full.
+
+    Raises:
+        ProtocolError: see ``encode``.
+    """
     frames = encode(envelope)
     return send_frames(socket, frames if peer is None else [peer, *frames])
 
 
 def send_frames(socket: Socket, frames: list[bytes]) -> bool:
-    """Send a message that is encoded already; the result as of ``send``."""
+    """Send an encoded message; returns as ``send``."""
     try:
         socket.send_multipart(frames, flags=zmq.NOBLOCK)
     except zmq.Again:
@@ -176,10 +180,10 @@ def send_frames(socket: Socket, frames: list[bytes]) -> bool:
 
 
 def receive(socket: Socket, timeout_s: float) -> Envelope | None:
-    """The next message of a DEALER or SUB, or None after ``timeout_s``.
+    """The next message of a DEALER or SUB; None after ``timeout_s`` seconds.
 
     Raises:
-        ProtocolError: if it does not follow the protocol.
+        ProtocolError: if it violates the protocol.
     """
     if not socket.poll(int(timeout_s * 1000)):
         return None

@@ -1,4 +1,4 @@
-"""Sums, differences and views of a learner's statistics, all derived from their declarations."""
+"""Sums, differences and views of learner statistics, derived from their declarations."""
 
 from __future__ import annotations
 
@@ -20,12 +20,11 @@ Rates = Mapping[str, float]
 
 @dataclass(frozen=True)
 class Declared:
-    """A statistic as its record declares it.
+    """A statistic's declaration.
 
     Attributes:
-        statistic: kind and views.
-        most: the largest value that its type allows.
-        part: the field of ``LearnerStats`` whose record it is in; empty for those of ``LearnerStats`` itself.
+        most: maximum of its type.
+        part: field of ``LearnerStats`` that holds its record; empty for its own fields.
     """
 
     statistic: Statistic
@@ -35,7 +34,7 @@ class Declared:
 
 @cache
 def declared(record: type[Message], part: str = "") -> dict[str, Declared]:
-    """The statistics of a record by name, those of its parts included, in the order of their declaration."""
+    """A record's statistics by name, nested ones included, in order of declaration."""
     found: dict[str, Declared] = {}
     for name, hint in get_type_hints(record, include_extras=True).items():
         if isinstance(hint, type) and issubclass(hint, Message):
@@ -48,17 +47,17 @@ def declared(record: type[Message], part: str = "") -> dict[str, Declared]:
 
 
 def added(earlier: StatsT, newest: StatsT) -> StatsT:
-    """Statistics over two leases: counters are summed, up to what their types allow; of the others the newest."""
+    """Merge two leases: sum counters up to their types' maximum, take the rest from ``newest``."""
     return _merged(earlier, newest, lambda before, now, most: min(before + now, most))
 
 
 def counted_since(now: StatsT, before: StatsT) -> StatsT:
-    """Statistics without what ``before`` had counted already."""
+    """Statistics with the counters of ``before`` subtracted."""
     return _merged(before, now, lambda before, now, _: now - before)
 
 
 def _merged(before: StatsT, now: StatsT, count: Callable[[Any, Any, Any], Any]) -> StatsT:
-    """A record with counters made by ``count`` from both (and their largest values), the rest from ``now``."""
+    """Merge records: counters by ``count(before, now, maximum)``, the rest from ``now``."""
     statistics, merged = declared(type(now)), {}
     for name in now.__struct_fields__:
         old, new = getattr(before, name), getattr(now, name)
@@ -83,14 +82,14 @@ def _value(stats: LearnerStats, name: str) -> Number:
 
 
 def views() -> Iterator[tuple[str, View]]:
-    """All views with the names of their statistics, in the order of declaration."""
+    """All views with the names of their statistics, in order of declaration."""
     for name, found in declared(LearnerStats).items():
         for view in found.statistic.views:
             yield name, view
 
 
 def viewed(name: str, view: View, stats: LearnerStats, rates: Rates) -> Number:
-    """What a view shows of a statistic; None where it is unknown.
+    """What a view shows of a statistic; None if unknown.
 
     Args:
         name: the statistic.
@@ -113,5 +112,5 @@ def rated() -> list[str]:
 
 
 def scalars(stats: LearnerStats, rates: Rates) -> dict[str, Number]:
-    """A learner's curves in TensorBoard by name; None where there is no value yet."""
+    """A learner's TensorBoard scalars by name; None where there is no value yet."""
     return {view.scalar: viewed(name, view, stats, rates) for name, view in views() if view.scalar}

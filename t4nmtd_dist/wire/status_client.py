@@ -1,4 +1,4 @@
-"""Status client, open to any authorised client, which can also add lines to the event log."""
+"""Status client, open to any authorised client; it can also add lines to the event log."""
 
 from __future__ import annotations
 
@@ -19,12 +19,10 @@ POLL_S = 0.05
 
 
 class StatusClient:
-    """A connection to a coordinator's control socket, for status requests and notices.
+    """A client of a coordinator's control socket for status requests and notices.
 
     Args:
-        context: the process's ZeroMQ context.
-        endpoint: of the coordinator.
-        keys: of a coordinator that has keys.
+        keys: this client's, if the coordinator has keys.
 
     Raises:
         ConfigError: if the endpoint cannot be connected to.
@@ -37,7 +35,7 @@ class StatusClient:
         self._number = 0
 
     def handshake(self, timeout_s: float) -> Outcome | None:
-        """Wait for the connection: ``agreed``, why there is none, or None where nobody answers in time."""
+        """Wait for the handshake: ``agreed``, why it failed, or None after the timeout."""
         deadline = time.monotonic() + timeout_s
         last: Outcome | None = None
         while (left := deadline - time.monotonic()) > 0:
@@ -48,11 +46,11 @@ class StatusClient:
         return last
 
     def status(self, timeout_s: float) -> Status:
-        """Ask once the connection stands.
+        """Request the status over an established connection.
 
         Raises:
-            ProtocolError: if the answer is not one of this protocol.
-            RunError: if no answer comes.
+            ProtocolError: if the reply is invalid or a ``Failure``.
+            RunError: if no reply comes in time.
         """
         deadline = time.monotonic() + timeout_s
         self._number += 1
@@ -70,24 +68,24 @@ class StatusClient:
         raise RunError(f"{self._endpoint} accepted the question and did not answer within {timeout_s:.0f} s")
 
     def notify(self, text: str, timeout_s: float) -> None:
-        """Give the coordinator a line or more for its event log; returns once it has taken them.
+        """Add lines to the coordinator's event log; returns once they are read.
 
         Raises:
-            ProtocolError: if it does not take them.
-            RunError: if no answer comes.
+            ProtocolError: if they are rejected.
+            RunError: if no reply comes in time.
         """
         if not send(self._socket, Envelope(Notice(text=text), {}, SENDER)):
             raise RunError(f"no connection to {self._endpoint} any more")
-        self.status(timeout_s)  # asked on the same connection, and so answered after the notice was read
+        self.status(timeout_s)  # same connection, so the reply follows the reading of the notice
 
     def close(self) -> None:
-        """End the connection."""
+        """Close the connection."""
         self._handshakes.close()
         self._socket.close(0)
 
 
 def send_notice(context: Context, endpoint: str, keys: ClientKeys | None, text: str, timeout_s: float) -> bool:
-    """Put a text into a coordinator's event log; whether it was taken in time.
+    """Add a text to a coordinator's event log; whether it was accepted in time.
 
     Raises:
         ConfigError: if the endpoint cannot be connected to.
@@ -109,8 +107,8 @@ def ask_status(context: Context, endpoint: str, keys: ClientKeys | None, timeout
 
     Raises:
         ConfigError: if the endpoint cannot be connected to.
-        ProtocolError: if the answer is not one of this protocol.
-        RunError: if there is no answer; the text says why, as far as it is known.
+        ProtocolError: if the reply is invalid.
+        RunError: if no reply comes; with the reason if known.
     """
     client = StatusClient(context, endpoint, keys)
     try:

@@ -1,4 +1,4 @@
-"""Whether a compiled task fits into the message that brings it to a worker."""
+"""Checks that a task and its weights fit into the protocol's messages."""
 
 from __future__ import annotations
 
@@ -12,20 +12,20 @@ from t4nmtd_dist.core.errors import ConfigError
 from t4nmtd_dist.method.compiled import CompiledTask
 from t4nmtd_dist.wire.codec import MAX_ARRAY_BYTES, MAX_ARRAYS, MAX_HEADER_BYTES, MAX_MESSAGE_BYTES
 
-REST_BYTES = 64 << 10  # of the message, beside the task
-SMALLEST = NetworkSizes(observation=1, action=1)  # a task does not say how long its observations and actions are
+REST_BYTES = 64 << 10  # of the message, without the task
+SMALLEST = NetworkSizes(observation=1, action=1)  # a task does not state these sizes
 NUMBER_BYTES = 4  # float32
 
 
 def check_task_size(task: CompiledTask, most: int = MAX_HEADER_BYTES - REST_BYTES) -> None:
-    """Refuse a task that could not be sent to any worker, or whose weights could not be sent.
+    """Reject a task that is too large for the messages that carry it or its weights.
 
     Args:
         task: compiled.
-        most: bytes that it may take.
+        most: maximum size of the task in bytes.
 
     Raises:
-        ConfigError: if it is larger, or its networks are too large.
+        ConfigError: if the task or its networks are too large.
     """
     _check_networks(task)
     parts = [task.config.to_dict(), task.dfa.to_json(), task.decomposition.to_json(), task.rho.tolist()]
@@ -38,7 +38,7 @@ def check_task_size(task: CompiledTask, most: int = MAX_HEADER_BYTES - REST_BYTE
 
 
 def _check_networks(task: CompiledTask) -> None:
-    """Refuse networks whose weights fit into no message, however short observations and actions are."""
+    """Reject networks too large for any observations and actions."""
     shapes = expected_shapes(task.config, task.dfa.states, SMALLEST)
     sizes = {name: NUMBER_BYTES * math.prod(shape) for name, shape in shapes.items()}
     acting = [size for name, size in sizes.items() if name.startswith(f"{acting_part(sizes)}.")]

@@ -1,4 +1,4 @@
-"""ZeroMQ's generic types with the parameters that this project uses, and the events that its monitors report."""
+"""ZeroMQ's types with this project's parameters, and the monitored events."""
 
 from __future__ import annotations
 
@@ -18,5 +18,5 @@ Context = zmq.Context[Socket]
 
 
 def new_context() -> Context:
-    """A new context; a process needs one."""
+    """A new context; create one per process."""
     return zmq.Context()

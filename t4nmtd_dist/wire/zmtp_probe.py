@@ -1,4 +1,4 @@
-"""The first bytes of ZMTP 3, read without libzmq: whether ZeroMQ listens at a port at all, and how it is secured."""
+"""Reads the ZMTP 3 greeting without libzmq: does ZeroMQ listen, and how is it secured?"""
 
 from __future__ import annotations
 
@@ -12,17 +12,17 @@ MECHANISM = slice(12, 32)
 
 @dataclass(frozen=True)
 class Greeting:
-    """What a ZeroMQ socket says first; ``mechanism`` is ``NULL`` (no keys) or ``CURVE``."""
+    """A ZeroMQ socket's greeting; ``mechanism`` is ``NULL`` (no keys) or ``CURVE``."""
 
     mechanism: str
 
 
 def read_greeting(connection: socket.socket, wait_s: float) -> Greeting | None:
-    """Greet, and read the other side's greeting; None if there is none within ``wait_s``, or it is not ZeroMQ's.
+    """Exchange greetings; None if none arrives in time or it is not ZeroMQ's.
 
     Args:
-        connection: a fresh TCP connection.
-        wait_s: seconds to wait.
+        connection: a new TCP connection.
+        wait_s: timeout in seconds.
     """
     connection.settimeout(wait_s)
     received = b""

@@ -1,1 +1,1 @@
-"""Keys, and who may connect."""
+"""CURVE keys, and which clients may connect."""

@@ -1,4 +1,4 @@
-"""The clients that may connect, as a running program knows them."""
+"""The allow list of client keys in a running program."""
 
 from __future__ import annotations
 
@@ -13,17 +13,13 @@ REREAD_S = 0.5
 
 
 class AllowedKeys:
-    """A set of public keys, each with the name to call it by; may be replaced at any time from any thread.
-
-    Args:
-        keys: the first set.
-    """
+    """Public keys with display names, replaceable from any thread."""
 
     def __init__(self, keys: Iterable[str] = ()) -> None:
         self._names: dict[str, str] = dict.fromkeys(keys, "")
 
     def replace(self, keys: Iterable[str]) -> None:
-        """Allow these keys and no others from now on."""
+        """Allow only these keys from now on."""
         self._names = dict.fromkeys(keys, "")
 
     def __contains__(self, key: object) -> bool:
@@ -34,19 +30,19 @@ class AllowedKeys:
         return frozenset(self._names)
 
     def name(self, key: str) -> str:
-        """What to call a key: its name on the list, or its first characters."""
+        """A key's display name: its name on the list, or its first characters."""
         return self._names.get(key) or f"{key[:8]}…"
 
 
 class AllowedFolder(AllowedKeys):
-    """The list in a coordinator's key folder; files that come and go are noticed without a restart.
+    """The allow list in a coordinator's key folder, reread when files come and go.
 
-    A file that cannot be read allows nobody. So does a folder that is gone: who takes it away, locks all out.
+    An unreadable file allows nobody; without the folder, only ``always`` is allowed.
 
     Args:
-        folder: the key folder; the list is its folder ``allowed``.
-        always: a key that needs no file (the coordinator's own, for its own dashboard).
-        tell: called with a line about every file that cannot be read.
+        folder: the key folder; the list is its subfolder ``allowed``.
+        always: a key that needs no file: the coordinator's own.
+        tell: logs every unreadable file.
     """
 
     def __init__(self, folder: Path, always: str, tell: Callable[[str], None]) -> None:
@@ -57,7 +53,7 @@ class AllowedFolder(AllowedKeys):
         self.refresh()
 
     def refresh(self) -> bool:
-        """Read the list again if it has changed, at most twice a second; whether it was read."""
+        """Reread the list if it has changed, at most twice a second; whether it was reread."""
         now = time.monotonic()
         if now < self._read_at + REREAD_S:
             return False

@@ -1,4 +1,4 @@
-"""How connections begin: why one could not be agreed upon, as libzmq's monitor tells it on either side."""
+"""Handshake outcomes, from libzmq's monitor events on either side."""
 
 from __future__ import annotations
 
@@ -24,14 +24,13 @@ _OUTCOMES: dict[int, Outcome] = {
 
 
 class HandshakeMonitor:
-    """What becomes of a socket's connections.
+    """Reports the outcomes of a socket's handshakes.
 
-    Outcomes are: ``connected`` (TCP only), ``agreed``, ``refused`` (the key is not on the other side's list),
-    ``mechanism`` (one side has keys and the other has not), ``broken`` (closed or not understood in between, as when
-    the other side's key is not the expected one), and ``ended``.
+    Outcomes are ``connected`` (TCP only), ``agreed``, ``refused`` (key not on the server's list), ``mechanism`` (only
+    one side has keys), ``broken`` (failed otherwise, for instance because of a wrong server key), and ``ended``.
 
     Args:
-        socket: a bound one, or one connected with ``monitored``; the monitor must be closed before it.
+        socket: a bound socket, or one connected with ``monitored``; close the monitor first.
     """
 
     def __init__(self, socket: Socket) -> None:
@@ -39,7 +38,7 @@ class HandshakeMonitor:
         self._monitor: Socket = socket.get_monitor_socket(MONITORED)
 
     def next(self, timeout_s: float = 0.0) -> Outcome | None:
-        """The next outcome, or None after ``timeout_s``."""
+        """The next outcome, or None after ``timeout_s`` seconds."""
         if not self._monitor.poll(int(timeout_s * 1000)):
             return None
         return outcome_of(recv_monitor_message(self._monitor))
@@ -51,7 +50,7 @@ class HandshakeMonitor:
 
 
 def outcome_of(event: Mapping[str, Any]) -> Outcome | None:
-    """What an event of libzmq's monitor says of a connection, if anything."""
+    """The outcome that a libzmq monitor event reports, if any."""
     is_protocol = event["event"] == zmq.EVENT_HANDSHAKE_FAILED_PROTOCOL
     if is_protocol and event["value"] == zmq.PROTOCOL_ERROR_ZMTP_MECHANISM_MISMATCH:
         return "mechanism"
@@ -59,12 +58,12 @@ def outcome_of(event: Mapping[str, Any]) -> Outcome | None:
 
 
 def trouble(outcome: Outcome | None, endpoint: str, keys: ClientKeys | None) -> str | None:
-    """Why a coordinator cannot be talked to, and what to do; None while nothing is wrong.
+    """Why a coordinator cannot be reached and what to do; None if no fault is known.
 
     Args:
-        outcome: what became of the connection.
+        outcome: of the handshake.
         endpoint: of the coordinator.
-        keys: what this side connects with.
+        keys: this client's.
     """
     if outcome == "refused" and keys is not None:
         return (

@@ -1,4 +1,4 @@
-"""Making key folders, and the list of clients that may connect: what ``t4nmtd keys`` does."""
+"""Creates key folders and edits the allow list, for ``t4nmtd keys``."""
 
 from __future__ import annotations
 
@@ -23,17 +23,17 @@ from t4nmtd_dist.wire.auth.keys import (
 
 
 def make_coordinator_folder(folder: Path, clients: int = 0) -> list[Path]:
-    """A coordinator's keys with a client of its own, and the folders of further clients.
+    """Create keys for a coordinator, a local client and further clients.
 
     Args:
-        folder: where; made with access for its owner only.
-        clients: how many further clients, named client1, client2 and so on.
+        folder: created with access for its owner only.
+        clients: number of further clients, named client1, client2 and so on.
 
     Returns:
         The further clients' folders.
 
     Raises:
-        KeyFileError: if the folder holds keys already or cannot be written.
+        KeyFileError: if the folder already holds keys or cannot be written.
     """
     _make_private(folder)
     pair = new_pair(COORDINATOR)
@@ -46,15 +46,15 @@ def make_coordinator_folder(folder: Path, clients: int = 0) -> list[Path]:
 
 
 def make_client_folder(folder: Path, name: str, coordinator: str) -> KeyPair:
-    """A client's keys, made where they are used; their public half then goes to the coordinator's list.
+    """Create a client's keys; the coordinator's list still needs their public half.
 
     Args:
-        folder: where.
+        folder: path.
         name: the client's name.
         coordinator: the coordinator's public key.
 
     Raises:
-        KeyFileError: if the folder holds keys already or cannot be written, or a key or name is malformed.
+        KeyFileError: if the folder already holds keys or cannot be written, or a key or name is malformed.
     """
     if not PUBLIC_KEY.fullmatch(coordinator):
         raise KeyFileError(f"{coordinator!r} is no public key: expected 40 characters of Z85")
@@ -66,10 +66,10 @@ def make_client_folder(folder: Path, name: str, coordinator: str) -> KeyPair:
 
 
 def add_client(folder: Path, name: str) -> Path:
-    """A further client of a coordinator; the folder to carry to the client's machine.
+    """Add a client to a coordinator; returns the folder to carry to its machine.
 
     Raises:
-        KeyFileError: if there is a client of that name, or the folder holds no coordinator's keys.
+        KeyFileError: if the client exists, or the folder holds no coordinator's keys.
     """
     _, coordinator = read_public(folder / f"{COORDINATOR}.public")
     _check_unlisted(folder, name, "")
@@ -81,10 +81,10 @@ def add_client(folder: Path, name: str) -> Path:
 
 
 def allow(folder: Path, name: str, public: str) -> None:
-    """Put a client's public key on the list.
+    """Add a client's public key to the list.
 
     Raises:
-        KeyFileError: if the name or key is on it already or malformed, or the list cannot be written.
+        KeyFileError: if the name or key is malformed or already listed, or the list cannot be written.
     """
     if not PUBLIC_KEY.fullmatch(public):
         raise KeyFileError(f"{public!r} is no public key: expected 40 characters of Z85")
@@ -100,10 +100,10 @@ def _check_unlisted(folder: Path, name: str, public: str) -> None:
 
 
 def revoke(folder: Path, name: str) -> None:
-    """Take a client off the list; a running coordinator notices within a second.
+    """Remove a client from the list; a running coordinator notices within a second.
 
     Raises:
-        KeyFileError: if it is not on the list.
+        KeyFileError: if the client is not on the list.
     """
     path = folder / ALLOWED / f"{name}.public"
     if name not in listed_clients(folder):
@@ -115,10 +115,10 @@ def revoke(folder: Path, name: str) -> None:
 
 
 def listed_clients(folder: Path) -> Mapping[str, str]:
-    """Public keys on the list by name.
+    """The listed public keys by client name.
 
     Raises:
-        KeyFileError: if a file of the list is malformed.
+        KeyFileError: if a file is malformed.
     """
     paths = sorted((folder / ALLOWED).glob("*.public"))
     return {path.stem: read_public(path)[1] for path in paths}

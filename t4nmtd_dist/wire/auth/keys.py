@@ -1,14 +1,14 @@
-"""CURVE keys on disk, and the list of the clients that may connect (docs/security.md).
+"""CURVE keys on disk, and the list of allowed clients (docs/security.md).
 
-A folder made by ``t4nmtd keys new`` holds::
+``t4nmtd keys new`` creates a folder with::
 
     coordinator.secret  coordinator.public     the coordinator's own pair
     client.secret                              a client's own pair, for commands on this machine
     allowed/NAME.public                        the list: one file for each client that may connect
-    clients/NAME/                              what to carry to another machine: its ``--keys`` folder
+    clients/NAME/                              a ``--keys`` folder to carry to another machine
 
-A client's folder holds ``client.secret`` and ``coordinator.public``. Every file is TOML with ``format``, ``name``,
-``public`` and, in files that end in ``.secret``, ``secret``; keys are 32 bytes as 40 characters of Z85.
+A client's folder holds ``client.secret`` and ``coordinator.public``. Every file is TOML with ``format``, ``name`` and
+``public``; ``.secret`` files also have ``secret``. Keys are 32 bytes as 40 characters of Z85.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ PUBLIC_KEY = re.compile(r"[0-9A-Za-z.\-:+=^!/*?&<>()\[\]{}@%$#]{40}")
 
 @dataclass(frozen=True)
 class KeyPair:
-    """A named CURVE key pair; keys in Z85. The secret half is not shown when the pair is printed."""
+    """A named CURVE key pair in Z85; printing it does not show the secret half."""
 
     name: str
     public: str
@@ -43,11 +43,11 @@ class KeyPair:
 
 @dataclass(frozen=True)
 class ClientKeys:
-    """What a client connects with: its own pair, and the public key of whom it connects to.
+    """A client's own pair and its server's public key.
 
     Attributes:
         own: the client's pair.
-        server: the only public key that the other side may have.
+        server: the only accepted server key.
     """
 
     own: KeyPair
@@ -59,16 +59,16 @@ class ClientKeys:
 
 
 def new_pair(name: str) -> KeyPair:
-    """A fresh pair.
+    """Generate a pair.
 
     Raises:
-        KeyFileError: if the name cannot be a file's name.
+        KeyFileError: if the name is malformed.
     """
     if not NAME.fullmatch(name):
         raise KeyFileError(f"{name!r} cannot name a key: expected letters, digits, dots, hyphens and underscores")
     while True:
         public, secret = zmq.curve_keypair()
-        if public[:1].isalnum():  # no command line takes it for an option
+        if public[:1].isalnum():  # so that no command line parses it as an option
             return KeyPair(name, public.decode(), secret.decode())
 
 
@@ -85,7 +85,7 @@ def load_coordinator(folder: Path) -> KeyPair:
     """The coordinator's pair from its ``--keys`` folder.
 
     Raises:
-        KeyFileError: if the file is missing or malformed, or others can read it.
+        KeyFileError: see ``read_secret``.
     """
     return read_secret(folder / f"{COORDINATOR}.secret")
 
@@ -94,7 +94,7 @@ def read_secret(path: Path) -> KeyPair:
     """A pair from a ``.secret`` file.
 
     Raises:
-        KeyFileError: if it is missing or malformed, or others than its owner can read it.
+        KeyFileError: if it is missing, malformed, or readable by others.
     """
     values = _values(path)
     if stat.S_IMODE(path.stat().st_mode) & 0o077:
@@ -139,17 +139,17 @@ def _hint(path: Path) -> str:
 
 
 def make_private_folder(path: Path) -> None:
-    """A folder that only its owner may use, whatever the umask; its permissions are corrected if it exists.
+    """Create a folder for its owner only, or correct its permissions.
 
     Raises:
-        OSError: if it cannot be made.
+        OSError: if it cannot be created.
     """
     path.mkdir(parents=True, exist_ok=True, mode=0o700)
     path.chmod(0o700)
 
 
 def write_secret(path: Path, pair: KeyPair) -> None:
-    """Write a pair so that only its owner can read it.
+    """Write a pair, readable by its owner only.
 
     Raises:
         KeyFileError: if the file exists or cannot be written.
@@ -172,14 +172,14 @@ def _lines(name: str, public: str) -> str:
 
 
 def _write(path: Path, text: str, mode: int) -> None:
-    """Whole or not at all, with its permissions from the first moment, and never over another file."""
+    """Write atomically with final permissions; never overwrite."""
     fresh = path.with_name(f".{path.name}.new")
     try:
         if not path.parent.is_dir():
             make_private_folder(path.parent)
         fresh.unlink(missing_ok=True)
         with open(fresh, "x", encoding="utf-8", opener=lambda name, flags: os.open(name, flags, mode)) as file:
-            os.fchmod(file.fileno(), mode)  # the umask may have taken some of it away
+            os.fchmod(file.fileno(), mode)  # the umask may have cleared some bits
             file.write(text)
             file.flush()
             os.fsync(file.fileno())

@@ -1,4 +1,4 @@
-"""Answers ZeroMQ's question whether a client's key may connect (ZAP, ZeroMQ RFC 27), in a thread of its own."""
+"""Answers ZeroMQ's authentication requests (ZAP, ZeroMQ RFC 27) in its own thread."""
 
 from __future__ import annotations
 
@@ -27,15 +27,14 @@ class Refusal:
 
 
 class Authenticator:
-    """Lets in the clients on a list, for all sockets of one context; make it before they are bound.
+    """Admits listed clients to all sockets of a context; create it before binding.
 
-    ZeroMQ asks once per connection, in its handshake; ``wire.gate`` deals with keys that are revoked later.
+    ZeroMQ checks keys only in the handshake; ``wire.secure_receiver`` handles later revocations.
 
     Args:
-        context: the process's ZeroMQ context.
         allowed: the list.
-        refused: called from the authenticator's thread for every client that is not let in.
-        for_good: whether a refused client is told so and should give up, or may try again by itself.
+        refused: called in the authenticator's thread for every rejected client.
+        for_good: tell rejected clients to give up rather than retry.
     """
 
     def __init__(
@@ -50,7 +49,7 @@ class Authenticator:
         self._thread.start()
 
     def close(self) -> None:
-        """Let nobody in any more; returns within a second."""
+        """Stop admitting clients; returns within a second."""
         self._stop.set()
         self._thread.join(timeout=1.0)
 
@@ -63,7 +62,7 @@ class Authenticator:
             self._socket.close(0)
 
     def _answer(self, question: list[bytes]) -> list[bytes]:
-        """A question is: version, number, domain, address, routing id, mechanism, and the key's 32 bytes."""
+        """Answer: version, number, domain, address, routing id, mechanism, key (32 bytes)."""
         version, number, domain, address, _, mechanism, *credentials = question
         key = z85.encode(credentials[0]).decode() if mechanism == b"CURVE" and len(credentials) == 1 else ""
         if isinstance(self._allowed, AllowedFolder):

@@ -1,7 +1,7 @@
-"""Every message of the protocol as a typed Struct; docs/protocol.md says who sends which and when.
+"""All messages of the protocol as typed Structs (docs/protocol.md).
 
-Arrays are not part of these bodies: they follow as raw frames, by name (see ``wire.codec``). "arrays:" in a docstring
-lists them. What clients and peers send is bounded field by field (``wire.fields``).
+Arrays follow as raw frames, by name (``wire.codec``); docstrings list them after "arrays:". Every field that clients
+and peers send is bounded (``wire.fields``).
 """
 
 from __future__ import annotations

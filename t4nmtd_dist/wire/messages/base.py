@@ -1,4 +1,4 @@
-"""The base of all messages and of their parts."""
+"""The base class of messages and their parts."""
 
 from __future__ import annotations
 
@@ -6,4 +6,4 @@ import msgspec
 
 
 class Message(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """What all messages share: nothing but strictness."""
+    """Base of all messages: frozen, rejects unknown fields."""

@@ -14,9 +14,9 @@ LONGEST_PATH = 4000  # below the longest list that a header may hold
 
 
 class EvaluationPoll(Message, frozen=True, tag="evaluation_poll"):
-    """Evaluator -> coordinator, 0.2 s after each answer while idle: heartbeat; answered by a job once one is due.
+    """Evaluator -> coordinator, 0.2 s after each answer while idle: heartbeat; the reply is a job if one is due.
 
-    ``busy``: only a heartbeat during an evaluation, answered by job 0.
+    ``busy``: heartbeat during an evaluation, answered by job 0.
     """
 
     epoch: Count
@@ -24,10 +24,9 @@ class EvaluationPoll(Message, frozen=True, tag="evaluation_poll"):
 
 
 class EvaluationJob(Message, frozen=True, tag="evaluation_job"):
-    """Coordinator -> evaluator. ``job`` 0: nothing to do yet. arrays: ``<pid>/weights.actor.*`` of every sub-task.
+    """Coordinator -> evaluator. ``job`` 0: nothing to do. arrays: ``<pid>/weights.actor.*`` of every sub-task.
 
-    ``actions``: the modes to play. The first is played, another only where those before it fall short of
-    ``evaluation.success``.
+    ``actions``: modes to play in order; each is played only if those before it miss ``evaluation.success``.
     """
 
     job: int
@@ -38,9 +37,9 @@ class EvaluationJob(Message, frozen=True, tag="evaluation_job"):
 
 
 class EvaluationReport(Message, frozen=True, tag="evaluation_report"):
-    """Evaluator -> coordinator: what the episodes of one job came to.
+    """Evaluator -> coordinator: results of one job's episodes.
 
-    All figures are of the mode ``actions``; ``other_success_rate`` is that of the other one where both were played.
+    All figures belong to mode ``actions``; ``other_success_rate`` belongs to the other mode if both were played.
     """
 
     epoch: Count
@@ -57,9 +56,9 @@ class EvaluationReport(Message, frozen=True, tag="evaluation_report"):
 
 
 class EvaluationRow(Message, frozen=True):
-    """One evaluation; ``dfa_path`` is the sequence of DFA states of its first episode.
+    """One evaluation; ``dfa_path`` lists the DFA states of its first episode.
 
-    ``actions`` is the mode that it was played in; ``other_success_rate`` is of the other one, where both were played.
+    ``actions`` is the mode played; ``other_success_rate`` belongs to the other mode if both were played.
     """
 
     job: int

@@ -1,4 +1,4 @@
-"""What a learner and the coordinator exchange several times a second."""
+"""Messages that learners and the coordinator exchange several times a second."""
 
 from __future__ import annotations
 
@@ -10,10 +10,10 @@ from t4nmtd_dist.wire.messages.statistics import LearnerStats
 class Sync(Message, frozen=True, tag="sync"):
     """Learner -> coordinator, several times a second: heartbeat, progress, weights.
 
-    ``sequence`` numbers the batch of progress; a repeat of a number changes nothing, and 0 is a heartbeat without
-    progress. ``start_cursor`` is the newest start state the learner holds. arrays: ``progress.q`` int32 [n, 3]
-    (q, q' or -1, steps), ``progress.reward`` float64 [n], ``starts.q`` int32 [m], ``starts.state`` [m, s], and
-    ``weights.*`` when ``version`` is newer than what was sent before.
+    ``sequence`` numbers the batch of progress; repeats are ignored, and 0 is a heartbeat without progress.
+    ``start_cursor`` is the newest start state the learner holds. arrays: ``progress.q`` int32 [n, 3] (q, q' or -1,
+    steps), ``progress.reward`` float64 [n], ``starts.q`` int32 [m], ``starts.state`` [m, s], and ``weights.*`` if
+    ``version`` is newer than the last one sent.
     """
 
     pid: Name
@@ -25,9 +25,9 @@ class Sync(Message, frozen=True, tag="sync"):
 
 
 class Peer(Message, frozen=True):
-    """Where a peer's critic answers, and the newest version of its weights that the coordinator knows.
+    """A peer's critic endpoint, and the newest version of its weights known to the coordinator.
 
-    ``key`` is the public key by which the peer is known; empty where the coordinator has no keys.
+    ``key`` is the peer's public key; empty if the coordinator has no keys.
     """
 
     endpoint: str
@@ -39,7 +39,7 @@ class Peer(Message, frozen=True):
 class SyncReply(Message, frozen=True, tag="sync_reply"):
     """Coordinator -> learner. arrays: ``starts.q`` int32 [m] and ``starts.state`` [m, s], the new start states.
 
-    ``evaluate``: there is no evaluator and an evaluation is due, so this learner's worker may stand in for one.
+    ``evaluate``: an evaluation is due without an evaluator, so this learner's worker may stand in.
     """
 
     pid: str

@@ -1,4 +1,4 @@
-"""Messages about leases: who may work on a sub-task, or evaluate."""
+"""Messages about leases: the right to train a sub-task, or to evaluate."""
 
 from __future__ import annotations
 
@@ -11,11 +11,10 @@ Role = Literal["learner", "evaluator"]
 
 
 class Claim(Message, frozen=True, tag="claim"):
-    """Worker -> coordinator: asks for a lease on a sub-task, or for the evaluator's place.
+    """Worker -> coordinator: requests a lease on a sub-task, or the evaluator role.
 
-    ``pid`` None means the next free sub-task. ``instance`` names the worker process, so that a repeated claim
-    of the same process renews its lease instead of colliding with it. ``stand_in``: a learner's worker claims the
-    evaluator's place for one evaluation between its turns.
+    ``pid`` None means the next free sub-task. ``instance`` names the worker process, which may claim again its own
+    lease, under a new epoch. ``stand_in``: a learner's worker claims the evaluator role for one evaluation.
     """
 
     role: Role
@@ -26,7 +25,7 @@ class Claim(Message, frozen=True, tag="claim"):
 
 
 class Granted(Message, frozen=True, tag="granted"):
-    """Coordinator -> worker: a lease. arrays: the newest weights of the sub-task, if any (``weights.*``).
+    """Coordinator -> worker: a lease. arrays: the sub-task's newest weights, if any (``weights.*``).
 
     ``asked`` repeats the claim's ``pid``, which may be a number such as p1; "" if it named none.
     """
@@ -46,7 +45,7 @@ class Granted(Message, frozen=True, tag="granted"):
 
 
 class Refused(Message, frozen=True, tag="refused"):
-    """Coordinator -> worker: no lease. ``final`` says that asking again cannot help."""
+    """Coordinator -> worker: no lease. ``final``: retrying cannot help."""
 
     reason: Literal["unknown pid", "lease is live", "nothing free", "stale epoch"]
     text: str
@@ -55,13 +54,13 @@ class Refused(Message, frozen=True, tag="refused"):
 
 
 class Release(Message, frozen=True, tag="release"):
-    """Worker -> coordinator: gives a lease back."""
+    """Worker -> coordinator: returns a lease."""
 
     pid: Name
     epoch: Count
 
 
 class Goodbye(Message, frozen=True, tag="goodbye"):
-    """Coordinator -> worker: the run is over; end."""
+    """Coordinator -> worker: the run is over; exit."""
 
     reason: str

@@ -1,4 +1,4 @@
-"""What the coordinator reports about a run, and what it is told for its event log."""
+"""The coordinator's reports on a run, and notices for its event log."""
 
 from __future__ import annotations
 
@@ -16,9 +16,9 @@ RunPhase = Literal["starting", "training", "solved", "budget spent", "stopped"]
 class LearnerRow(Message, frozen=True):
     """One learner on the dashboard.
 
-    ``phase`` is the coordinator's word, that in ``total`` the learner's. ``total`` is over all epochs. ``rates`` are of
-    counters, per second over the last ten, by name. ``heartbeat_age_s`` None: never heard of. ``hint``: lines on why
-    it is stuck and what to try; empty if it is not.
+    ``phase`` is the coordinator's view; the one in ``total`` is the learner's. ``total`` covers all epochs. ``rates``
+    are counters per second over the last ten seconds, by name. ``heartbeat_age_s`` None: no heartbeat yet. ``hint``:
+    why it is stuck and what to try; empty if it is not.
     """
 
     pid: str
@@ -34,7 +34,7 @@ class LearnerRow(Message, frozen=True):
 
 
 class QCell(Message, frozen=True):
-    """One known entry of the high-level Q table."""
+    """One known entry of the high-level Q-table."""
 
     q: int
     pid: str
@@ -43,14 +43,14 @@ class QCell(Message, frozen=True):
 
 
 class EventLine(Message, frozen=True):
-    """Something worth telling: when (seconds since the start) and what."""
+    """A line of the event log and its time in seconds since the start."""
 
     elapsed_s: float
     text: str
 
 
 class Missing(Message, frozen=True):
-    """What a training started by hand lacks, and the command that brings it; ``needed`` False: it can do without."""
+    """A process that a manually started run lacks, and the command to start it; ``needed`` False: optional."""
 
     what: str
     command: str
@@ -58,18 +58,18 @@ class Missing(Message, frozen=True):
 
     @property
     def text(self) -> str:
-        """The same for people."""
+        """A line for display."""
         if self.needed:
             return f"missing {self.what}: {self.command}"
         return f"no {self.what}: {self.command} (until then workers evaluate between their turns)"
 
 
 class StatusRequest(Message, frozen=True, tag="status_request"):
-    """Anyone -> coordinator: how is the run? Changes nothing."""
+    """Any client -> coordinator: requests the run's status; read-only."""
 
 
 class Status(Message, frozen=True, tag="status"):
-    """Coordinator -> who asked. ``clock`` is in seconds of Unix time, ``policy`` the best evaluation so far."""
+    """Coordinator -> client. ``clock`` is Unix time in seconds, ``policy`` the best evaluation so far."""
 
     program: str
     clock: float
@@ -93,7 +93,7 @@ class Status(Message, frozen=True, tag="status"):
 
 
 class DashboardState(Message, frozen=True, tag="dashboard_state"):
-    """Coordinator -> dashboards: the full state, so that any one message is enough to draw all."""
+    """Coordinator -> dashboards: the full state; any single message suffices to draw everything."""
 
     task: str
     title: str
@@ -122,12 +122,12 @@ class DashboardState(Message, frozen=True, tag="dashboard_state"):
 
 
 class Notice(Message, frozen=True, tag="notice"):
-    """Launcher -> coordinator: something that belongs into the event log, such as how a worker ended. Not answered."""
+    """Launcher -> coordinator: a line for the event log, such as how a worker ended. Not answered."""
 
     text: str
 
 
 class Failure(Message, frozen=True, tag="failure"):
-    """Answer to a message that could not be understood."""
+    """Reply to a message that could not be understood."""
 
     text: str

@@ -1,7 +1,7 @@
-"""The statistics of one learner, each declared once: its type, how it is summed, and where it is shown.
+"""Learner statistics, each declared once: type, how to sum it, and where to show it.
 
-To add a statistic, add a field to ``LearnerStats``. Sums over leases, the columns of ``metrics/<pid>.csv``, the curves
-in TensorBoard and the columns of the dashboard follow from the declarations (``wire.statistics``).
+To add a statistic, add a field to ``LearnerStats``. Sums over leases, columns of ``metrics/<pid>.csv``, TensorBoard
+curves and dashboard columns are derived from it (``wire.statistics``).
 """
 
 from __future__ import annotations
@@ -19,15 +19,15 @@ PER_SECOND = "second"
 
 @dataclass(frozen=True)
 class View:
-    """One way to look at a statistic: as it is, per second, or as a ratio.
+    """One view of a statistic: its value, its rate per second, or a ratio.
 
     Attributes:
-        scalar: name of its curve in TensorBoard; empty for none.
-        heading: of its column on the dashboard.
-        format: how the column writes it; empty for no column.
-        needs: width of a page, in terminal cells, from which on the column is shown.
-        short: heading on narrow pages, if another.
-        per: ``PER_SECOND``: the rate over the last ten seconds. Any other name: the ratio to that statistic.
+        scalar: name of its TensorBoard curve; empty for none.
+        heading: of its dashboard column.
+        format: of the column; empty for no column.
+        needs: page width in terminal cells from which the column is shown.
+        short: heading on narrow pages, if different.
+        per: ``PER_SECOND`` for the rate over the last ten seconds, else the name of the ratio's denominator.
     """
 
     scalar: str = ""
@@ -40,12 +40,11 @@ class View:
 
 @dataclass(frozen=True)
 class Statistic:
-    """What is declared of a statistic beside its type.
+    """A statistic's declaration, apart from its type.
 
     Attributes:
-        counter: whether it counts up from 0 under each lease, so that leases are summed; otherwise the newest value
-            stands for itself.
-        views: where else than in the CSV file it is shown.
+        counter: whether it counts up from 0 under each lease, so that leases are summed; else the newest value is used.
+        views: where it is shown besides the CSV file.
     """
 
     counter: bool
@@ -58,7 +57,7 @@ def counter(*views: View) -> Statistic:
 
 
 def gauge(*views: View) -> Statistic:
-    """A statistic of which the newest value counts."""
+    """A statistic whose newest value is used."""
     return Statistic(False, views)
 
 
@@ -68,7 +67,7 @@ LAG = View("mean_lag", "lag", "mean", needs=60, per="answered")
 
 
 class Intervention(Message, frozen=True):
-    """Counts of critic values asked from peers, in rows, since the lease began (see ``InterventionCounts``)."""
+    """Counts of critic values requested from peers, in rows, since the lease began (see ``InterventionCounts``)."""
 
     asked: Annotated[Count, counter()] = 0
     answered: Annotated[Count, counter(ANSWERED)] = 0
@@ -89,9 +88,9 @@ SUCCESS = View("recent_success", "success", "percent")
 class LearnerStats(Message, frozen=True):
     """Statistics of one learner since its lease began; the coordinator adds earlier epochs.
 
-    ``entropy`` is in nats. ``peer_rows``: experiences of peers that it can learn from now. ``processor_s``: processor
-    time of acting and learning. ``errors``, ``timeouts`` and ``terminated``: attempts without success that ended in an
-    error state, by lack of time, and with the environment.
+    ``entropy`` is in nats. ``peer_rows``: peers' experiences available for learning now. ``processor_s``: CPU time of
+    acting and learning, in seconds. ``errors``, ``timeouts`` and ``terminated``: failed attempts that ended in an error
+    state, at the time limit, and with the environment.
     """
 
     phase: LearnerPhase = "waiting"

@@ -1,1 +1,1 @@
-"""How learners reach each other."""
+"""Clients of peers in other processes."""

@@ -1,4 +1,4 @@
-"""Asking peers' processes for critic values (``intervention=query``)."""
+"""Queries critic values from peers in other processes (``intervention=query``)."""
 
 from __future__ import annotations
 
@@ -23,12 +23,12 @@ PROBE_EVERY_S = 0.5
 
 @dataclass
 class _Batch:
-    """A batch from its first question until it is gathered; later answers to it find it closed.
+    """A batch of questions, open until it is gathered.
 
     Attributes:
-        asked: rows asked for.
-        outstanding: of them, rows in requests without an answer.
-        answers: what came, with the peer it came from and the version that answered.
+        asked: rows requested.
+        outstanding: rows sent and unanswered.
+        answers: values with their peer and weights' version.
     """
 
     asked: int = 0
@@ -39,7 +39,7 @@ class _Batch:
 
 @dataclass(frozen=True)
 class _Part:
-    """The questions of one batch to one peer."""
+    """One batch's questions to one peer."""
 
     batch: _Batch
     questions: Questions
@@ -50,11 +50,11 @@ class _PeerConnection:
     """The connection to one peer.
 
     Attributes:
-        unsent: what the next request asks for.
-        waited: gatherings since the first of that was asked.
-        in_flight: what was asked, by number of the request.
-        misses: requests in a row whose batches were gathered before the answer came.
-        probe_at: while the peer is silent, when to ask again.
+        unsent: questions for the next request.
+        waited: gatherings since the last request.
+        in_flight: questions by request number.
+        misses: consecutive late requests.
+        probe_at: when to retry a silent peer.
     """
 
     peer: Peer
@@ -67,33 +67,31 @@ class _PeerConnection:
 
     @property
     def silent(self) -> bool:
-        """Whether it has left so much unanswered that it is no longer waited for."""
+        """Whether nothing waits for it after too many misses."""
         return self.misses >= MISSES_UNTIL_PROBING
 
     def rows_of(self, batch: _Batch) -> int:
-        """Rows of ``batch`` that are unsent."""
+        """Unsent rows of ``batch``."""
         return sum(len(part.questions) for part in self.unsent if part.batch is batch)
 
     def is_due(self, gathered: _Batch) -> bool:
-        """Whether what is unsent cannot wait for more questions when ``gathered`` is."""
+        """Whether to send now instead of collecting more questions."""
         self.waited += 1
         return self.waited >= GATHERINGS_PER_REQUEST or any(part.batch is gathered for part in self.unsent)
 
 
 class QueryPeers(PeerClient[_PeerConnection]):
-    """Peers in other processes: requests go out ahead of the training, answers are gathered when a batch is trained.
+    """Peers in other processes: requests go out ahead of training, answers are gathered with the batch.
 
-    Neighbouring batches share a request: it goes out once one of them has ``ROWS_PER_REQUEST`` rows, after some
-    gatherings, and at the latest when one of its batches is gathered. A peer that is away, slow or unknown costs no
-    more than the patience of the gatherer: its rows are left unanswered, and the learner falls back to its own critic.
-    After three misses in a row a peer is not waited for any more, and asked but every half a second, until it answers.
+    Consecutive batches share a request. It is sent once one batch has ``ROWS_PER_REQUEST`` rows, after
+    ``GATHERINGS_PER_REQUEST`` gatherings, or when one of its batches is gathered. Unanswered rows cost at most the
+    gatherer's patience and fall back to the learner's own critic. After three consecutive misses the client stops
+    waiting for a peer and queries it at most every half second until it answers.
 
     Args:
-        context: the process's ZeroMQ context.
-        sender: the name that requests carry.
-        keys: this worker's own, if the coordinator has keys; each peer's public key comes with its address.
-        value_shape: shape of one answer: () for PPO, (2,) for SAC; any other counts as none.
-        clock: seconds that only grow.
+        keys: this worker's own, if the coordinator has keys.
+        value_shape: shape of one answer: () for PPO, (2,) for SAC; others are rejected.
+        clock: monotonic, in seconds.
     """
 
     def __init__(
@@ -151,7 +149,7 @@ class QueryPeers(PeerClient[_PeerConnection]):
         return self._close(gathered)
 
     def _drain(self, pid: str, connection: _PeerConnection, gathered: _Batch, deadline: float) -> None:
-        """Take what has come; wait for what ``gathered`` still lacks of this peer."""
+        """Read arrived answers; wait for those ``gathered`` still needs."""
         while True:
             lacking = any(part.batch is gathered for parts in connection.in_flight.values() for part in parts)
             patience_s = max(0.0, deadline - self._clock()) if lacking and not connection.silent else 0.0
@@ -164,7 +162,7 @@ class QueryPeers(PeerClient[_PeerConnection]):
     def _take(self, pid: str, connection: _PeerConnection, envelope: Envelope) -> None:
         parts = connection.in_flight.pop(envelope.id, None)
         if parts is None:
-            # it answers again: give it another chance
+            # a late answer: the peer is back, so wait for it again
             connection.misses = min(connection.misses, MISSES_UNTIL_PROBING - 1)
             return
         connection.misses = 0
@@ -180,7 +178,7 @@ class QueryPeers(PeerClient[_PeerConnection]):
             begin = end
 
     def _values(self, envelope: Envelope, rows: int) -> Values | None:
-        """The values in an answer; None if it is none, or another than what was asked for."""
+        """An answer's values; None if invalid."""
         values = envelope.arrays.get("value")
         if not isinstance(envelope.message, ValueReply) or values is None:
             return None

@@ -1,4 +1,4 @@
-"""Copies of the experience of peers in other processes, kept up to date (docs/decisions/016)."""
+"""Replicates the experience of peers in other processes (docs/decisions/016)."""
 
 from __future__ import annotations
 
@@ -32,12 +32,12 @@ class _PeerConnection:
     """The connection to one peer.
 
     Attributes:
-        origin: of the record that the steps are counted in; empty before the first answer.
-        step: number of the step that is asked for next.
-        stored: number of the step after the one stored last; -1 if over this connection none was.
-        request: number of the request without an answer; 0 for none.
-        ask_at: when to ask again.
-        misfit: whether an answer that does not fit was told of.
+        origin: the peer's buffer; empty before the first answer.
+        step: the next step to request.
+        stored: the step after the last one stored; -1 for none.
+        request: number of the pending request; 0 for none.
+        ask_at: when to send the next request.
+        misfit: whether an invalid answer was reported.
     """
 
     peer: Peer
@@ -51,22 +51,19 @@ class _PeerConnection:
 
 
 class PeerExperience(PeerClient[_PeerConnection]):
-    """Pulls what peers have lived through since the last time; never waits.
+    """Pulls peers' new experience without blocking.
 
-    What is here of a peer that moves or goes away stays; a peer that is back, or has begun anew, tells everything
-    again.
+    Copies survive a peer's move or exit; a restarted peer sends everything again.
 
     Args:
-        context: the process's ZeroMQ context.
-        sender: the name that requests carry.
-        make: room for the experience of one peer.
-        symbols: how many symbols the DFA reads.
+        make: creates the replay buffer for one peer.
+        symbols: number of DFA input symbols.
         keys: this worker's own, if the coordinator has keys.
-        clock: seconds that only grow.
-        tell: called with a line about the first answer over a connection that does not fit.
+        clock: monotonic, in seconds.
+        tell: logs a connection's first invalid answer.
 
     Attributes:
-        copies: by pid, those of whom anything has come.
+        copies: replay buffers by pid, of peers that sent anything.
     """
 
     def __init__(
@@ -84,7 +81,7 @@ class PeerExperience(PeerClient[_PeerConnection]):
         self.copies: dict[str, ReplayBuffer] = {}
 
     def pull(self) -> None:
-        """Take what has come, and ask for more of those that are due: soon, where not all fitted into an answer."""
+        """Read what arrived and send due requests; partial answers are followed up sooner."""
         for pid, connection in self._connections.by_pid.items():
             for envelope in arrived(connection.socket):
                 if envelope.id == connection.request:
@@ -98,7 +95,7 @@ class PeerExperience(PeerClient[_PeerConnection]):
         connection.ask_at = self._clock() + (ANSWER_WITHIN_S if connection.request else ASK_EVERY_S)
 
     def _take(self, pid: str, connection: _PeerConnection, envelope: Envelope) -> None:
-        """Store an answer; one that does not fit is told of, and the peer not asked again for a minute."""
+        """Store an answer, or report an invalid one and pause for a minute."""
         connection.ask_at = self._clock() + ASK_EVERY_S
         reply = envelope.message
         if not isinstance(reply, ExperienceReply):
@@ -129,16 +126,16 @@ class PeerExperience(PeerClient[_PeerConnection]):
 
 
 def checked_columns(arrays: Mapping[str, NDArray[Any]], room: ReplayBuffer, symbols: int) -> dict[str, NDArray[Any]]:
-    """The columns of an answer.
+    """Validate the columns of an answer.
 
     Args:
         arrays: of the message.
-        room: where they are to be stored.
-        symbols: how many symbols the DFA reads.
+        room: the buffer to store them in.
+        symbols: number of DFA input symbols.
 
     Raises:
-        ProtocolError: if a column is missing, of another shape or type than ``room`` has, not finite, or names a
-            symbol that there is not.
+        ProtocolError: if the columns, their shapes or dtypes differ from those of ``room``, or a value is not finite
+            or not a valid symbol.
     """
     _, expected = room.since(room.written, 1)
     if set(arrays) != set(expected):

@@ -1,4 +1,4 @@
-"""Connections to peers in other processes, at the addresses that the coordinator gives."""
+"""Connections to peers in other processes, at addresses from the coordinator."""
 
 from __future__ import annotations
 
@@ -16,11 +16,11 @@ from t4nmtd_dist.wire.messages import Message, Peer
 from t4nmtd_dist.wire.sockets import connect, send
 from t4nmtd_dist.wire.zmq_types import Context, Socket
 
-HANDSHAKE_MS = 2000  # a peer that does not know of us yet stays silent; ask again then
+HANDSHAKE_MS = 2000  # a peer that does not know this worker yet does not answer; retry
 
 
 class Connected(Protocol):
-    """What a connection holds: the peer as the coordinator last told of it, and the socket."""
+    """A connection's peer, as last reported by the coordinator, and socket."""
 
     peer: Peer
     socket: Socket
@@ -34,9 +34,8 @@ class PeerConnections(Generic[ConnectionT]):
     """One connection per peer.
 
     Attributes:
-        context: the process's ZeroMQ context.
-        keys: this worker's own, if the coordinator has keys; each peer's public key comes with its address.
-        make: a connection from a peer and the socket connected to it.
+        keys: this worker's own, if the coordinator has keys; the coordinator supplies each peer's public key.
+        make: wraps a peer and its connected socket.
     """
 
     context: Context
@@ -47,7 +46,7 @@ class PeerConnections(Generic[ConnectionT]):
         self.by_pid: dict[str, ConnectionT] = {}
 
     def set_peers(self, peers: Mapping[str, Peer]) -> None:
-        """Where peers answer now; a peer that moved is connected to anew, one without a usable address is away."""
+        """Update the peers; reconnects those that moved and drops those without a usable address."""
         for pid in set(self.by_pid) - set(peers):
             self.by_pid.pop(pid).socket.close(0)
         for pid, peer in peers.items():
@@ -69,14 +68,12 @@ class PeerConnections(Generic[ConnectionT]):
 
 
 class PeerClient(Generic[ConnectionT]):
-    """The common part of all clients of peers in other processes.
+    """Base of all clients of peers in other processes.
 
     Args:
-        context: the process's ZeroMQ context.
-        sender: the name that requests carry.
-        keys: this worker's own, if the coordinator has keys; each peer's public key comes with its address.
-        make: a connection from a peer and the socket connected to it.
-        clock: seconds that only grow.
+        keys: this worker's own, if the coordinator has keys.
+        make: wraps a peer and its connected socket.
+        clock: monotonic, in seconds.
     """
 
     def __init__(
@@ -92,7 +89,7 @@ class PeerClient(Generic[ConnectionT]):
         self._next_id = 0
 
     def set_peers(self, peers: Mapping[str, Peer]) -> None:
-        """Where peers answer now; a peer that moved is connected to anew."""
+        """Update the peers' addresses; reconnects those that moved."""
         self._connections.set_peers(peers)
 
     def close(self) -> None:
@@ -100,14 +97,14 @@ class PeerClient(Generic[ConnectionT]):
         self.set_peers({})
 
     def _send(self, connection: ConnectionT, message: Message, arrays: Arrays | None = None) -> int:
-        """Send a request; its number, or 0 if it cannot be sent now."""
+        """Send a request; returns its number, or 0 if impossible now."""
         self._next_id += 1
         sent = send(connection.socket, Envelope(message, arrays or {}, self._sender, self._next_id))
         return self._next_id if sent else 0
 
 
 def arrived(socket: Socket, patience_s: float = 0.0) -> Iterator[Envelope]:
-    """The readable messages waiting at a DEALER, after waiting up to ``patience_s`` for the first."""
+    """Yield the valid messages waiting at a DEALER, after waiting up to ``patience_s`` for the first."""
     patience_ms = int(patience_s * 1000)
     while socket.poll(patience_ms):
         patience_ms = 0

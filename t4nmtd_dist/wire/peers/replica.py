@@ -1,4 +1,4 @@
-"""Copies of peers' networks, pulled by version and evaluated at home (``intervention=replica``)."""
+"""Replicas of peers' networks, pulled by version and evaluated locally (``intervention=replica``)."""
 
 from __future__ import annotations
 
@@ -27,13 +27,13 @@ FIRST_PULL_EVERY_S = 0.25
 
 @dataclass
 class _PeerConnection:
-    """The connection to one peer, and the copy of its networks.
+    """The connection to one peer and the replica of its networks.
 
     Attributes:
-        copy: None until its weights have come.
-        version: of the copy.
-        epoch: the peer's lease under which the copy was pulled: under another one versions may count anew.
-        pull_at: when to ask for newer weights.
+        copy: the replica; None until weights have arrived.
+        version: of the replica.
+        epoch: the peer's lease epoch at the pull; versions may restart under another.
+        pull_at: when to request newer weights.
     """
 
     peer: Peer
@@ -46,12 +46,12 @@ class _PeerConnection:
 
 @dataclass
 class _Batch:
-    """A batch that has been asked for and not gathered.
+    """A batch of questions not yet gathered.
 
     Attributes:
-        asked: rows asked for.
-        waiting: questions not evaluated yet.
-        answers: what was evaluated, and the lag of its versions.
+        asked: rows requested.
+        waiting: questions not yet evaluated.
+        answers: values with the lag of their versions.
     """
 
     asked: int = 0
@@ -62,17 +62,14 @@ class _Batch:
 class ReplicaPeers(PeerClient[_PeerConnection]):
     """Peers in other processes whose networks are evaluated here.
 
-    A peer's weights are pulled only while somebody asks for its values, every two seconds at most, and only if the
-    coordinator knows of a newer version. All batches that have been asked for are evaluated in one call per peer, when
-    the first of them is gathered. Rows of a peer whose weights have not come yet fall back to the own critic. The copy
-    of a peer that moved is dropped.
+    A peer's weights are pulled only while its values are requested, at most every two seconds (every 0.25 s before the
+    first), and only if the coordinator knows a newer version. Gathering a batch evaluates all open batches in one call
+    per peer. Rows of a peer without weights fall back to the learner's own critic.
 
     Args:
-        context: the process's ZeroMQ context.
-        sender: the name that requests carry.
-        make: a network like the peers', to load their weights into.
+        make: creates a network to load peers' weights into.
         keys: this worker's own, if the coordinator has keys.
-        clock: seconds that only grow.
+        clock: monotonic, in seconds.
     """
 
     def __init__(
@@ -108,7 +105,7 @@ class ReplicaPeers(PeerClient[_PeerConnection]):
         connection.pull_at = self._clock() + (FIRST_PULL_EVERY_S if connection.copy is None else PULL_EVERY_S)
 
     def _take(self, connection: _PeerConnection) -> None:
-        """Load what has come; weights that do not fit or are not finite count as none."""
+        """Load arrived weights, if usable."""
         for envelope in arrived(connection.socket):
             weights = without_prefix("weights.", envelope.arrays)
             if not isinstance(envelope.message, WeightsReply) or not weights:
@@ -126,7 +123,7 @@ class ReplicaPeers(PeerClient[_PeerConnection]):
             )
 
     def gather(self, batch: int, patience_s: float = 0.0) -> PeerValues:
-        """See ``PeerCritics.gather``; it waits for nothing, whatever the patience."""
+        """See ``PeerCritics.gather``; never waits."""
         gathered = self._batches.get(batch)
         if gathered is None:
             return PeerValues.joined([])
@@ -136,7 +133,7 @@ class ReplicaPeers(PeerClient[_PeerConnection]):
         return self._close(gathered)
 
     def _evaluate_all(self) -> None:
-        """Evaluate all questions that wait and whose peer's weights are there, in one call per peer."""
+        """Evaluate all waiting questions, in one call per peer with weights."""
         waiting: dict[str, list[tuple[_Batch, Questions]]] = {}
         for batch in self._batches.values():
             for pid, part in together(batch.waiting).items():
