@@ -134,8 +134,8 @@ class Run:
             if self.resume is not None:
                 places += ["--checkpoints", str(self.folder / "run" / CHECKPOINTS_FOLDER), *SELDOM]
             self._spawn([*python_command("worker"), "--connect", control, "--instance", name, *places], name)
-        self.inquiry = StatusClient(new_context(), control)
-        self.inquiry.handshake(ANSWER_S)
+        self.status_client = StatusClient(new_context(), control)
+        self.status_client.handshake(ANSWER_S)
 
     def _fresh(self) -> list[str]:
         settings = [f"learner.intervention={self.mode.intervention}", NO_EVALUATIONS, *self.flags]
@@ -177,7 +177,7 @@ class Run:
 
     def status(self) -> Status:
         """The coordinator's status."""
-        return self.inquiry.status(ANSWER_S)
+        return self.status_client.status(ANSWER_S)
 
     def signal(self, number: signal.Signals) -> None:
         """Stop or continue all processes."""

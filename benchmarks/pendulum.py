@@ -185,11 +185,11 @@ AGENTS: Mapping[str, Callable[[int, int], Agent]] = {
 
 def mean_return(agent: Agent, episodes: int = EPISODES) -> float:
     """Mean return of deterministic episodes from fixed starts; all end by time-out in the same step."""
-    num_envs = [gymnasium.make(WORLD) for _ in range(episodes)]
-    starts = [env.reset(seed=FIRST_EVALUATION_SEED + i)[0] for i, env in enumerate(num_envs)]
+    envs = [gymnasium.make(WORLD) for _ in range(episodes)]
+    starts = [env.reset(seed=FIRST_EVALUATION_SEED + i)[0] for i, env in enumerate(envs)]
     observations, total, over = np.array(starts, np.float32), 0.0, False
     while not over:
-        steps = [env.step(action) for env, action in zip(num_envs, agent.actions(observations), strict=True)]
+        steps = [env.step(action) for env, action in zip(envs, agent.actions(observations), strict=True)]
         observations = np.array([step[0] for step in steps], np.float32)
         total += sum(float(step[1]) for step in steps)
         over = steps[0][3]

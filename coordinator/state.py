@@ -88,7 +88,7 @@ class CoordinatorState:
         self.stand_ins = self._leasing.stand_ins
         self._evaluator = EvaluatorDuty(task, self.records, self.method, self._leasing, self.clock)
         self.evaluations = self._evaluator.schedule
-        self._bulletin, self._stuck, self._intake = NoticeFilter(), StuckDetector(), Intake(task)
+        self._notice_filter, self._stuck, self._intake = NoticeFilter(), StuckDetector(), Intake(task)
         self.snapshot: NDArray[Any] | None = None
         self.outcome: Outcome | None = None
         self._growing = Monotone()
@@ -155,7 +155,7 @@ class CoordinatorState:
         if isinstance(message, EvaluationReport):
             return self._evaluation_report(event.peer, message)
         if isinstance(message, Notice):
-            return [self._log.add(line) for line in self._bulletin.lines(message.text)]
+            return [self._log.add(line) for line in self._notice_filter.lines(message.text)]
         raise ProtocolError(f"the coordinator does not take {type(message).__name__} messages")
 
     def _receive_late(self, event: Received, outcome: Outcome) -> list[Action]:

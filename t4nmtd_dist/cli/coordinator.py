@@ -31,7 +31,7 @@ class CoordinatorCommand(RunFlags):
     """Show nothing on this terminal but the outcome."""
     lease: float = 10.0
     """Seconds of silence after which a worker counts as lost and its sub-task is free again."""
-    lifeline: int | None = None
+    parent: int | None = None
     """End when the process of this number, which started this one, has ended (used by `t4nmtd train`)."""
 
 
@@ -45,8 +45,8 @@ def run(command: CoordinatorCommand) -> int:
     from t4nmtd_dist.core.errors import T4NMTDError
     from t4nmtd_dist.process.parent_watchdog import end_with_parent
 
-    if command.lifeline is not None:
-        end_with_parent(command.lifeline)
+    if command.parent is not None:
+        end_with_parent(command.parent)
     try:
         return _serve(command)
     except T4NMTDError as error:
@@ -77,7 +77,7 @@ def _serve(command: CoordinatorCommand) -> int:
         return EXIT_CODES["solved"]
     task = ready_task(plan, command, _warn)
     access = Access(command.bind, command.publish, command.keys, command.insecure)
-    by_hand = command.lifeline is None
+    by_hand = command.parent is None
     service = coordinator_service(plan, task, command, access, lease_s=command.lease, by_hand=by_hand)
     if service.commands is not None and not command.no_dashboard:
         print(service.commands.welcome(plan.config.name), flush=True)

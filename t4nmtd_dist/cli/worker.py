@@ -49,7 +49,7 @@ class WorkerCommand:
     goes on from the newest of the same run."""
     checkpoint_every: float = 300.0
     """Seconds between two of them; another is written when this worker ends."""
-    lifeline: int | None = None
+    parent: int | None = None
     """End when the process of this number, which started this one, has ended (used by `t4nmtd train`)."""
 
 
@@ -68,8 +68,8 @@ def run(command: WorkerCommand) -> int:
     from t4nmtd_dist.process.parent_watchdog import end_with_parent
     from t4nmtd_dist.wire.endpoints import check_endpoint
 
-    if command.lifeline is not None:
-        end_with_parent(command.lifeline)
+    if command.parent is not None:
+        end_with_parent(command.parent)
     try:
         check_endpoint(command.connect)
         if command.evaluate and command.pid:

@@ -74,7 +74,7 @@ def spawn_command(program: Program, role: Role, control: str) -> Process:
         command = [*coordinator_command(program), "--bind", LOOPBACK, "--publish", LOOPBACK]
     else:
         command = [*worker_command(program, role, control), "--trust"]  # the coordinator is our own
-    return spawn_logged([*command, "--lifeline", str(os.getpid())], program.log(role), role.environment)
+    return spawn_logged([*command, "--parent", str(os.getpid())], program.log(role), role.environment)
 
 
 def spawn_logged(command: list[str], log: Path, environment: Mapping[str, str]) -> Process:

@@ -18,7 +18,7 @@ def end_with_parent(parent: int) -> None:
     Args:
         parent: the parent's process id, obtained in the parent, which may exit at any time.
     """
-    threading.Thread(target=_watch, args=(parent,), name="lifeline", daemon=True).start()
+    threading.Thread(target=_watch, args=(parent,), name="parent watchdog", daemon=True).start()
 
 
 def _watch(parent: int) -> None:

@@ -6,18 +6,17 @@ connection has received, which the kernel counts, with those delivered. Shutting
 
 from __future__ import annotations
 
-import ctypes
 import os
 import threading
 import time
 from collections.abc import Callable
-from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 
 import zmq
 from zmq.utils.monitor import recv_monitor_message
 
+from t4nmtd_dist.process.memory import trim_memory
 from t4nmtd_dist.wire.auth.handshake import Outcome, outcome_of
 from t4nmtd_dist.wire.connections import Connection, connection
 from t4nmtd_dist.wire.limits import Limits
@@ -109,7 +108,7 @@ class ConnectionGuard:
             pause_ms = BUSY_MS if self._look() else QUIET_MS
             if self._trim_at is not None and time.monotonic() > self._trim_at:
                 self._trim_at = None
-                _give_memory_back()
+                trim_memory()
 
     def _follow_connections(self) -> None:
         while self._monitor.poll(0):
@@ -189,9 +188,3 @@ class ConnectionGuard:
 def _resident() -> int:
     """Resident memory of this process in bytes (Linux)."""
     return int(Path("/proc/self/statm").read_text(encoding="ascii").split()[1]) * os.sysconf("SC_PAGESIZE")
-
-
-def _give_memory_back() -> None:
-    """Return freed memory to the system; glibc retains small blocks."""
-    with suppress(AttributeError, OSError, TypeError):
-        ctypes.CDLL(None).malloc_trim(0)

@@ -14,7 +14,7 @@ from t4nmtd_dist.wire.messages import Failure, Notice, Status, StatusRequest
 from t4nmtd_dist.wire.sockets import connect, receive, send
 from t4nmtd_dist.wire.zmq_types import Context
 
-SENDER = "inquiry"
+SENDER = "status"
 POLL_S = 0.05
 
 
