@@ -1,4 +1,4 @@
-"""What a peer asks a critic about: the product states of a value request, checked."""
+"""Validates the product states of a peer's value request."""
 
 from __future__ import annotations
 

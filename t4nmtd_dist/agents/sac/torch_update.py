@@ -1,8 +1,7 @@
-"""SAC's gradient step in plain torch, for any device: the losses of ``losses``, with their gradients left to autograd.
+"""SAC's gradient step in plain torch, for any device: autograd of ``losses``.
 
-On the CPU ``fast_cpu`` does the same in two thirds of the time; the tests hold the two against each other. Here the
-device is never waited for within an update: a batch goes there as one array, and nothing comes back before it is asked
-for.
+On the CPU, ``fast_cpu`` takes two thirds of the time; tests compare the two. An update never waits for the device: a
+batch is sent as one array, and results are fetched only on demand.
 """
 
 from __future__ import annotations
@@ -23,7 +22,7 @@ from t4nmtd_dist.agents.sac.updater import Floats, PeerSoftValues, Reals, SACSet
 
 @dataclass(frozen=True)
 class _Given:
-    """A batch on the device: experiences, noise, and what peers have answered (1 in ``answered``) [B, ..]."""
+    """A batch on the device: transitions, noise, and peers' answers (1 in ``answered``) [B, ..]."""
 
     states: Tensor
     actions: Tensor
@@ -39,7 +38,7 @@ class _Given:
 
 @dataclass(frozen=True)
 class _Last:
-    """``LastUpdate`` while it is still on the device."""
+    """``LastUpdate`` on the device."""
 
     errors: Tensor
     targets: Tensor
@@ -48,7 +47,7 @@ class _Last:
     alpha: Tensor
 
     def fetched(self) -> LastUpdate:
-        """The same in numpy; waits for the device."""
+        """Fetch it as numpy arrays; waits for the device."""
         errors, targets, log_probs, values = (
             each.cpu().numpy() for each in (self.errors, self.targets, self.log_probs, self.values)
         )
@@ -56,7 +55,7 @@ class _Last:
 
 
 def _leaf(tensor: Tensor, gradient: Tensor) -> Tensor:
-    """The same memory as a tensor that autograd differentiates by; derivatives are added to ``gradient``."""
+    """An autograd leaf on the same memory; derivatives accumulate in ``gradient``."""
     leaf = tensor.detach().requires_grad_()
     leaf.grad = gradient
     return leaf
@@ -76,7 +75,7 @@ class TorchSACUpdater(SACParameters):
         state_size: d, the length of a product state.
         action_size: A.
         settings: learning rates and sizes.
-        seed: seeds weights and noise.
+        seed: for weights and noise.
         device: where to compute.
     """
 
@@ -172,7 +171,7 @@ class TorchSACUpdater(SACParameters):
         return errors.detach()
 
     def _step_actor(self, given: _Given, actions: Tensor, log_probs: Tensor, alpha: Tensor) -> Tensor:
-        """Step the actor, the critics' weights being constants; returns min_i Q_i(s, a) of its actions [B]."""
+        """Step the actor with constant critics; returns min_i Q_i(s, a) of its actions [B]."""
         values = self._values(self._critics.layers, given.states, actions).amin(0)
         self._step("actor", actor_loss(alpha, log_probs, values))
         return values.detach()
