@@ -26,7 +26,9 @@ Actions = NDArray[Any]
 
 
 class Actor(Protocol):
-    """The trained policy of one sub-task::
+    """The trained policy of one sub-task.
+
+    Intended loop::
 
         actor = make_actor(config.learner, weights)
         while not episode_is_over:
