@@ -65,8 +65,7 @@ class QTable:
         self._values[q, pid] = target if old is None else old + self._alpha * (target - old)
 
     def choose(self, q: int, rng: np.random.Generator, among: Collection[str] | None = None) -> str | None:
-        """E(Q, q): epsilon-greedy over the sub-tasks available in q (and in ``among``), ties at random; None if none.
-        """
+        """E(Q, q): epsilon-greedy over the sub-tasks available in q (and in ``among``), random ties; None if none."""
         available = self._available(q, among)
         if not available:
             return None
