@@ -1,4 +1,4 @@
-"""Propositions that were never true together under random actions: candidates for ``exclusive`` groups."""
+"""Finds propositions never true together under random actions: candidates for ``exclusive`` groups."""
 
 from __future__ import annotations
 
@@ -23,16 +23,16 @@ KEEPS_END = (
 
 @dataclass(frozen=True)
 class Suggestion:
-    """A group that could be declared exclusive, if its propositions really cannot hold together.
+    """A group to declare exclusive, if its propositions really cannot hold together.
 
     Attributes:
         group: the propositions, sorted.
         true_steps: steps on which each held.
-        expected_together: pairs to be expected on that many steps if the propositions were independent; where this
-            is below a few, that none was seen says little.
-        states_before, transitions_before: of the automaton with the groups declared so far.
+        expected_together: expected number of steps with a pair if the propositions were independent; if small, seeing
+            none means little.
+        states_before, transitions_before: of the automaton with the declared groups.
         states, transitions: with this group as well.
-        acceptance: how the task accepts with the groups declared so far.
+        acceptance: of the task with the declared groups.
     """
 
     group: tuple[str, ...]
@@ -45,7 +45,7 @@ class Suggestion:
     acceptance: AcceptanceSetting = "first"
 
     def text(self, steps: int) -> str:
-        """The suggestion for human readers."""
+        """The suggestion for display."""
         counts = ", ".join(f"{name} {times}" for name, times in self.true_steps.items())
         return (
             f"{', '.join(self.group[:-1])} and {self.group[-1]} were never true together on {steps} random steps "
@@ -57,11 +57,11 @@ class Suggestion:
 
 
 def suggestions(task: CompiledTask, seen: Mapping[frozenset[str], int]) -> list[Suggestion]:
-    """Groups worth declaring, the most useful ones first.
+    """Groups worth declaring, most useful first.
 
     Args:
-        task: whose automaton should become smaller.
-        seen: how often each set of true propositions was seen.
+        task: its automaton should become smaller.
+        seen: counts of the sets of true propositions.
     """
     declared = task.config.exclusive
     before = reduce_automaton(task.dfa, declared)
@@ -79,12 +79,12 @@ def suggestions(task: CompiledTask, seen: Mapping[frozenset[str], int]) -> list[
 
 
 def never_together(names: Iterable[str], seen: Mapping[frozenset[str], int], *, least: int) -> list[tuple[str, ...]]:
-    """The maximal groups of propositions of which no two were ever true in one step.
+    """Maximal groups of propositions of which no two were true in one step.
 
     Args:
-        names: the propositions to choose from.
-        seen: how often each set of true propositions was seen.
-        least: steps on which a proposition must have held to be in a group.
+        names: candidate propositions.
+        seen: counts of the sets of true propositions.
+        least: minimum number of steps on which a proposition must have held.
     """
     true = _true_steps(seen)
     frequent = [name for name in names if true[name] >= least]
@@ -105,7 +105,7 @@ def _true_steps(seen: Mapping[frozenset[str], int]) -> Counter[str]:
 def _cliques(
     apart: Mapping[str, set[str]], group: set[str], candidates: set[str], done: set[str]
 ) -> Iterator[set[str]]:
-    """Maximal cliques (Bron and Kerbosch, 1973) that hold ``group``, none of ``done``, and else of ``candidates``."""
+    """Maximal cliques that extend ``group`` by ``candidates`` and none of ``done`` (Bron and Kerbosch, 1973)."""
     if not candidates and not done:
         yield group
     for name in sorted(candidates):
