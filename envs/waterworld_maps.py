@@ -1,4 +1,4 @@
-"""Where the balls of Waterworld start: the paper's two maps, and maps drawn at random."""
+"""Start positions of Waterworld's balls: the paper's two maps, and random maps."""
 
 from __future__ import annotations
 
@@ -26,11 +26,11 @@ _PAPER_24 = (
 
 @dataclass(frozen=True)
 class Palette:
-    """The colours of a Waterworld and what its maps may hold.
+    """A Waterworld's colours and the limits of its maps.
 
     Attributes:
-        colours: names in the order of the balls, three balls each; also the propositions.
-        top_speed: largest speed of a ball along an axis, in units per step.
+        colours: names in ball order, three balls each; also the propositions.
+        top_speed: maximum ball speed along an axis, in units per step.
         paper_map: positions and velocities of the paper's map, each as text "(x,y)(x,y)...".
     """
 
@@ -61,7 +61,7 @@ def palette_of(colours: int) -> Palette:
 
 
 def checked_map(choice: object) -> int | str:
-    """The constructor keyword ``map``.
+    """Validate the constructor keyword ``map``.
 
     Raises:
         ValueError: if it is not "paper", "random" or an integer of at least 0.
@@ -74,7 +74,7 @@ def checked_map(choice: object) -> int | str:
 
 
 def paper_map(palette: Palette) -> NDArray[np.float64]:
-    """The paper's map: array of shape (balls, 4), each row x, y, vx, vy."""
+    """The paper's map: array of shape (balls, 4) with rows x, y, vx, vy."""
     return np.concatenate([_pairs(text) for text in palette.paper_map], axis=1)
 
 
@@ -91,8 +91,8 @@ def starting_balls(palette: Palette, choice: int | str, generator: np.random.Gen
 
     Args:
         palette: the colours.
-        choice: "paper", "random", or the seed of a map, the same at every reset.
-        generator: what a "random" map is drawn from; the other choices leave it alone.
+        choice: "paper", "random", or the seed of a fixed map.
+        generator: for "random" maps only.
     """
     if choice == "paper":
         return paper_map(palette)
