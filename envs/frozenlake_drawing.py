@@ -49,7 +49,7 @@ def _centre(cell: int) -> tuple[float, float]:
 
 
 def _draw_tile(canvas: Canvas, lake: Lake, cell: int) -> None:
-    """Ice, and on it a hole, a flag with the goal's name, or the start mark."""
+    """Ice, with a hole, a goal's flag, or the start mark."""
     x, y = _centre(cell)
     half = _TILE / 2
     ice = (226, 240, 250)
@@ -74,7 +74,7 @@ def _draw_passenger(canvas: Canvas, x: float, y: float, number: int) -> None:
 
 
 def _draw_agent(canvas: Canvas, x: float, y: float, carrying: int, ended: bool) -> None:
-    """A figure on the right of its cell, red after termination, its passenger overhead."""
+    """A figure, red after termination, its passenger overhead."""
     colour = VERMILION if ended else BLUE
     x += 10
     canvas.polygon([(x - 11, y + 22), (x, y + 2), (x + 11, y + 22)], colour)

@@ -48,8 +48,6 @@ class Lake:
     """The rules of one map as look-up tables; an *agent index* is 4*cell + carrying.
 
     Attributes:
-        goals: 1 (task 7) or 2 (task 8).
-        propositions: names of the label columns.
         tiles: the map as one string of 64 symbols.
         start: int64 array of shape (7,), the state after a reset.
         cell_after: flat table of the next cell, indexed by (64*ended + cell)*6 + action.
@@ -96,7 +94,7 @@ def lake_with(goals: int) -> Lake:
 
 
 def _movement(tiles: str, goals: int) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """Tables ``cell_after`` and ``ended_after``; terminated lakes do not move."""
+    """Tables ``cell_after`` and ``ended_after``."""
     cells = np.tile(np.arange(CELLS)[:, None], (2, 1, len(ACTIONS)))
     row, column = np.divmod(np.arange(CELLS), SIDE)
     for action, (down, right) in {LEFT: (0, -1), DOWN: (1, 0), RIGHT: (0, 1), UP: (-1, 0)}.items():
@@ -113,7 +111,7 @@ def _movement(tiles: str, goals: int) -> tuple[NDArray[np.int64], NDArray[np.int
 
 
 def _hands() -> NDArray[np.int64]:
-    """Table ``hands_after``: pick with empty hands, drop where no other passenger is."""
+    """Table ``hands_after``."""
     hands = np.empty((2, len(ACTIONS), _HANDS, _HANDS), dtype=np.int64)
     hands[:] = np.arange(_HANDS)[:, None]
     hands[0, PICK, 0, :] = np.arange(_HANDS)
@@ -122,7 +120,7 @@ def _hands() -> NDArray[np.int64]:
 
 
 def _labels(goal_cells: list[int]) -> NDArray[np.bool_]:
-    """Table ``labels``: carrying each passenger, then being on each goal."""
+    """Table ``labels``."""
     cell, carrying = np.divmod(np.arange(CELLS * _HANDS), _HANDS)
     return np.concatenate([carrying[:, None] == _NUMBERS, cell[:, None] == goal_cells], axis=1)
 

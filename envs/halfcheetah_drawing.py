@@ -46,7 +46,7 @@ def render_side_view(
 
 
 def _draw_metres(canvas: Canvas, x: float) -> None:
-    """A tick and a number for every visible metre of ground."""
+    """Ticks and numbers for every visible metre."""
     reach = int(_WIDTH / 2 / _SCALE) + 1
     for metre in range(round(x) - reach, round(x) + reach + 1):
         at = _WIDTH / 2 + (metre - x) * _SCALE
@@ -65,7 +65,7 @@ def _draw_flag(canvas: Canvas, at: float, name: str, reached: bool) -> None:
 
 
 def _draw_body(canvas: Canvas, model: Any, positions: NDArray[np.float64]) -> None:
-    """Every capsule as a thick line, front and back in different colours."""
+    """Capsules as thick lines, front and back in different colours."""
     # Uses separate data: kinematics on the environment's data would change its next step.
     data = mujoco.MjData(model)
     data.qpos[:] = positions
@@ -85,7 +85,7 @@ def _draw_body(canvas: Canvas, model: Any, positions: NDArray[np.float64]) -> No
 
 
 def _draw_map(canvas: Canvas, x: float, propositions: Sequence[str], labels: Collection[str]) -> None:
-    """The ground from -11 to 11 m with all markers and the cheetah's position."""
+    """Map of the ground with all markers and the cheetah's position."""
     middle = _MAP_HEIGHT - 18
     canvas.rectangle((0, 0, _WIDTH, _MAP_HEIGHT), fill=PALE)
     canvas.line([(_WIDTH / 2 + side * _MAP_END * _MAP_SCALE, middle) for side in (-1, 1)], GREY, 3)

@@ -63,9 +63,6 @@ class SnapshotVectorEnv(Protocol):
 
     An environment with random generators besides Gymnasium's ``np_random`` lists them as ``generators``, so that a
     resumed training has exactly the same randomness.
-
-    Attributes:
-        propositions: names of the label columns.
     """
 
     propositions: tuple[str, ...]

@@ -13,7 +13,7 @@ _HALF_WIDTH = 250  # pixels
 
 
 def _pixels(x: float, y: float) -> tuple[float, float]:
-    """Pixel coordinates of a track position; y points up on the track."""
+    """Pixel coordinates of a track position."""
     return _HALF_WIDTH + x * _SCALE, _HALF_WIDTH - y * _SCALE
 
 
@@ -44,7 +44,7 @@ def _draw_targets(canvas: Canvas, labels: frozenset[str]) -> None:
 
 
 def _draw_car(canvas: Canvas, state: list[float]) -> None:
-    """A disc with an arrow to where it would be one time unit later."""
+    """A disc with an arrow for its velocity per time unit."""
     x, y, vx, vy = state[:4]
     canvas.line([_pixels(x, y), _pixels(x + vx, y + vy)], ORANGE, 3)
     canvas.disc(*_pixels(x, y), 7, fill=BLUE, outline=WHITE, width=2)

@@ -19,9 +19,6 @@ Rows = NDArray[np.intp]
 class SnapshotBatch(VectorEnv[NDArray[np.float32], NDArray[Any], NDArray[Any]], ABC):
     """N environments stepped together; contract in ``envs.protocol.SnapshotVectorEnv``.
 
-    Rows never reset themselves. A terminated row does not change, and reports ``terminated``, until it is reset or
-    restored. All returned arrays are new.
-
     Attributes:
         generators: one random generator per row; empty if the environment is deterministic.
     """
@@ -127,7 +124,7 @@ class SnapshotBatch(VectorEnv[NDArray[np.float32], NDArray[Any], NDArray[Any]], 
 
     @abstractmethod
     def _advance(self, actions: ArrayLike) -> NDArray[np.bool_]:
-        """Validate the actions, then step every row; returns terminated, bool [N]."""
+        """Validate the actions and step every row; returns terminated, bool [N]."""
 
     @abstractmethod
     def _observe(self) -> NDArray[np.float32]:
@@ -143,7 +140,7 @@ class SnapshotBatch(VectorEnv[NDArray[np.float32], NDArray[Any], NDArray[Any]], 
 
     @abstractmethod
     def _restore(self, rows: Rows, snapshots: NDArray[Any]) -> NDArray[np.float32]:
-        """Validate snapshots (k, s), restore them into ``rows``, and return their observations (k, d)."""
+        """Validate snapshots (k, s), restore ``rows``, and return their observations (k, d)."""
 
     @abstractmethod
     def _picture(self, row: int) -> NDArray[np.uint8]:

@@ -91,7 +91,7 @@ class WaterworldVectorEnv(SnapshotBatch):
         return observe(self.palette, restored, self._observation)
 
     def _put(self, rows: Rows, states: NDArray[np.float64]) -> None:
-        """Set ``rows`` to states (4, k, balls + 1); their labels are what is touched there."""
+        """Set ``rows`` to states (4, k, balls + 1) and report what is touched there."""
         self._ponds.put(rows, states)
         self._reported[rows] = self._ponds.touches()[rows]
 

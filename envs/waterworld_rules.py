@@ -148,13 +148,13 @@ def _reach(offsets: NDArray[np.float64]) -> NDArray[np.float64]:
 
 
 def _nearest_first(offsets: NDArray[np.float64]) -> NDArray[np.intp]:
-    """Flat indices (N*balls,) with the nearest ball of each colour first, ties in map order."""
+    """Flat indices (N*balls,), nearest ball of each colour first, ties in map order."""
     order = np.argsort(_reach(offsets).reshape(-1, BALLS_PER_COLOUR), axis=1, kind="stable")
     return (order + BALLS_PER_COLOUR * np.arange(len(order))[:, None]).ravel()
 
 
 def _touched(offsets: NDArray[np.float64], colours: int) -> NDArray[np.bool_]:
-    """Which colours have a ball at ``offsets`` (2, N, balls) that touches the agent: bool (N, colours)."""
+    """Colours that touch the agent at ``offsets`` (2, N, balls): bool (N, colours)."""
     near = (_reach(offsets) <= TOUCH).reshape(-1, colours, BALLS_PER_COLOUR)
     touched: NDArray[np.bool_] = near[..., 0] | near[..., 1] | near[..., 2]
     return touched

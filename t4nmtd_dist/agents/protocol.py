@@ -1,8 +1,8 @@
-"""The agent protocol: learner, actor, and the parameter shapes that other processes check.
+"""The agent protocol: learner, actor, and parameter shapes.
 
 An agent is a folder with the same few modules: ``config`` (settings and defaults), ``shapes`` (``AgentShapes``),
-``losses``, ``networks``, ``actor`` (``AgentActor``) and ``agent`` (``AgentBuilder``). ``core.registry.AGENTS`` names
-the folder. ``config`` and ``shapes`` import no torch, since the coordinator imports them.
+``losses``, ``networks``, ``actor`` (``AgentActor``) and ``agent`` (``AgentBuilder``). ``core.registry.AGENTS`` lists
+the folders. The coordinator imports ``config`` and ``shapes``, so these import no torch.
 """
 
 from __future__ import annotations
@@ -60,7 +60,7 @@ class AgentShapes(Protocol):
     """
 
     def parameter_shapes(self, config: TaskConfig, inputs: int, actions: int) -> Shapes:
-        """Names and shapes of all parameters of a learner, without observation statistics.
+        """Names and shapes of a learner's parameters, without observation statistics.
 
         Args:
             config: the task.
@@ -76,7 +76,7 @@ class AgentActor(Protocol):
     """Module ``actor`` of an agent."""
 
     def make_actor(self, hidden: tuple[int, ...], weights: Weights) -> Actor:
-        """Build an actor from parameters named as in the learner's weights, without ``actor.`` or ``average.``.
+        """Build an actor; parameters are named without ``actor.`` or ``average.``.
 
         Raises:
             PolicyError: if parameters are missing or do not fit.
@@ -97,10 +97,10 @@ class PublishedValues(Protocol):
         """The copy's weights and version."""
 
     def load(self, weights: Mapping[str, NDArray[Any]], version: int) -> None:
-        """Replace the copy's ``weights`` with those of another copy.
+        """Load another copy's ``weights``.
 
         Raises:
-            PolicyError: if names or shapes differ; the copy must then be discarded.
+            PolicyError: if names or shapes differ; discard the copy then.
             ProtocolError: if they are not finite.
         """
 
@@ -126,7 +126,7 @@ class Learner(Protocol):
 
     @property
     def replay_buffer(self) -> ReplayBuffer | None:
-        """The learner's replay buffer, which peers may also learn from; None for on-policy agents."""
+        """The learner's replay buffer, also for peers; None for on-policy agents."""
 
     @property
     def peer_rows(self) -> int:
@@ -146,7 +146,7 @@ class Learner(Protocol):
         """Collect some steps and run the updates due; False while there is no start state."""
 
     def critic_values(self, observations: Observations, q: NDArray[np.int32]) -> Values:
-        """Values of product states for a peer in the same process, float32 [k] or [k, 2]."""
+        """Values of product states, float32 [k] or [k, 2], for peers in this process."""
 
     def weights(self) -> Weights:
         """Copies of all parameters by name."""
@@ -158,9 +158,9 @@ class Learner(Protocol):
         """Entropy (nats) and critic loss of the last update; None before the first."""
 
     def state_dict(self) -> State:
-        """The complete training state after an iteration, for a checkpoint.
+        """The complete training state between iterations, for a checkpoint.
 
-        Arrays may be views of live data: write or copy them before the next iteration.
+        Arrays may be views: write or copy them before the next iteration.
         """
 
     def load_state_dict(self, state: State) -> None:

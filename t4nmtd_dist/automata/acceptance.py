@@ -88,7 +88,7 @@ def with_last(dfa: DFA) -> DFA:
 
 
 def _without_fresh_initial(dfa: DFA) -> int:
-    """A start state with the initial state's future; whether the empty trace is accepted does not matter."""
+    """A start state with the initial state's future."""
     if (dfa.delta == dfa.initial).any():
         return dfa.initial
     alike = np.flatnonzero((dfa.delta == dfa.delta[dfa.initial]).all(axis=1))

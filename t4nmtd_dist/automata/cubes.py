@@ -76,7 +76,7 @@ def guard_text(guard: Guard) -> str:
 
 
 def _single_cube(table: TruthTable, propositions: tuple[str, ...]) -> Cube | None:
-    """The cube equal to a truth table, if any; most guards of large automata are one."""
+    """The cube equal to a truth table, if any."""
     held = np.flatnonzero(table)
     if not held.size:
         return None
@@ -88,10 +88,7 @@ def _single_cube(table: TruthTable, propositions: tuple[str, ...]) -> Cube | Non
 
 
 def _project(table: TruthTable, kept: TruthTable, n: int) -> tuple[TruthTable, TruthTable, list[int]]:
-    """Both tables with one axis per proposition that ``table`` depends on, and those propositions.
-
-    A projected symbol is in ``kept`` if some symbol projecting to it is.
-    """
+    """Both tables, with one axis per proposition that ``table`` depends on, and these propositions."""
     # Bit i of a symbol is axis n - 1 - i of the reshaped table; the transpose puts proposition i on axis i.
     table, kept = (t.reshape((2,) * n).transpose() for t in (table, kept))
     support = [i for i in range(n) if not np.array_equal(table.take(0, axis=i), table.take(1, axis=i))]
@@ -100,7 +97,7 @@ def _project(table: TruthTable, kept: TruthTable, n: int) -> tuple[TruthTable, T
 
 
 def _prime_table(implied: TruthTable, required: TruthTable, n: int) -> TruthTable:
-    """Which of the 3**n cubes are prime implicants; axis i is 0 for ``~p``, 1 for ``p``, 2 for neither."""
+    """Which of the 3**n cubes are prime implicants; indices are 0 ``~p``, 1 ``p``, 2 neither."""
     for i in range(n):
         no, yes = np.split(implied, 2, axis=i)
         implied = np.concatenate([no, yes, no & yes], axis=i)
@@ -118,7 +115,7 @@ def _literal(name: str, value: bool) -> str:
 
 
 def _isop(lower: TruthTable, upper: TruthTable, variable: int) -> tuple[list[tuple[tuple[int, bool], ...]], TruthTable]:
-    """Cubes whose union lies between ``lower`` and ``upper``, and the union as a truth table."""
+    """Cubes whose union lies between ``lower`` and ``upper``, and that union."""
     if not lower.any():
         return [], np.zeros_like(lower)
     if upper.all():

@@ -73,7 +73,7 @@ def _transitions(dfa: DFA, groups: Groups, curves: dict[Transition, Curve], colo
 
 
 def _transition(dfa: DFA, tau: Transition, curve: Curve, colours: list[str]) -> str:
-    """One curve: casing, one interleaved dashed stroke per colour, and arrow head."""
+    """One curve: casing, one dashed stroke per colour, and arrow head."""
     path = "M{:.1f} {:.1f} Q{:.1f} {:.1f} {:.1f} {:.1f}".format(*curve.start, *curve.control, *curve.end)
     if not colours:
         strokes = f'<path d="{path}" stroke="{FAINT}" stroke-width="1.2" stroke-dasharray="4 4"/>'
@@ -96,7 +96,7 @@ def _arrow_head(tip: Points, along: Points, colour: str, size: float = 1.0) -> s
 
 
 def _loop_and_stub(dfa: DFA, q: int, at: Points, curves: Iterable[Curve]) -> str:
-    """Self-loop and error transitions of a state, where there is room."""
+    """A state's self-loop and error transitions, where there is room."""
     up, *rest = free_directions(at, curves)
     errors = [tau for tau in dfa.edges if tau[0] == q and tau[1] in dfa.error]
     loop = _self_loop(dfa, q, at, up) if (q, q) in dfa.edges else ""
@@ -117,7 +117,7 @@ def _self_loop(dfa: DFA, q: int, at: Points, out: Points) -> str:
 
 
 def _stub(dfa: DFA, tau: Transition, at: Points, out: Points) -> str:
-    """A short arrow ending in a cross: a transition into an error state."""
+    """A transition into an error state: a short arrow ending in a cross."""
     (x, y), (to_x, to_y) = at + RADIUS * out, at + (RADIUS + 15) * out
     lines = f"M{x:.1f} {y:.1f} L{to_x:.1f} {to_y:.1f} m-4 -4 l8 8 m0 -8 l-8 8"
     path = f'<path d="{lines}" stroke="{FAINT}" stroke-width="1.4" fill="none"/>'
@@ -194,7 +194,7 @@ def _extent(curves: dict[Transition, Curve], position: dict[int, Points]) -> tup
 
 
 def _legend(dfa: DFA, groups: Groups, colours: Mapping[str, str]) -> list[tuple[str, str]]:
-    """(swatch, text) of every entry; a swatch is drawn in a box 26 pixels wide around (13, 0)."""
+    """(swatch, text) of every entry; swatches are 26 pixels wide, around (13, 0)."""
     swatch = '<path d="M0 0 h26" stroke="{}" stroke-width="{}"/>'
     entries = [
         (swatch.format(CASING, 4.6) + swatch.format(colours[name], 3.2), f"{name} ({len(taus)})")

@@ -49,7 +49,6 @@ class Formula:
     """A node of the syntax tree.
 
     Attributes:
-        operator: of the node.
         operands: none for constants and propositions, two or more for ``&``, ``|`` and ``<->``, two for ``->``, ``U``
             and ``R``, else one.
         name: the proposition's name, else empty.
@@ -106,14 +105,14 @@ def _parse(text: str) -> Formula:
 
 @functools.cache
 def _parser() -> Any:
-    """LTLf2DFA's parser, imported lazily because it loads sympy, which takes half a second."""
+    """LTLf2DFA's parser, imported lazily because it loads sympy (half a second)."""
     from ltlf2dfa.parser.ltlf import LTLfParser
 
     return LTLfParser()
 
 
 def _converted(node: Any) -> Formula:
-    """Convert LTLf2DFA's tree to ours, with chains of ``U``, ``R`` and ``->`` grouped in pairs."""
+    """Convert LTLf2DFA's tree, grouping chains of ``U``, ``R`` and ``->`` in pairs."""
     operator = Operator(type(node).__name__)
     if operator is Operator.PROPOSITION:
         return Formula(operator, name=str(node.s))
@@ -136,7 +135,7 @@ def _unknown(text: str, name: str, propositions: Sequence[str]) -> str:
 
 
 def _syntax_message(text: str, error: Any) -> str:
-    """Position, expectation, finding, a hint for common mistakes, and a caret."""
+    """The full message, with a hint and a caret."""
     token = getattr(error, "token", None)
     at_end = token is not None and token.type == "$END"
     position = len(text.rstrip()) if at_end else int(error.pos_in_stream)
@@ -162,7 +161,7 @@ def _hint(text: str, position: int, unclosed: bool) -> str:
 
 
 def _place(text: str, position: int) -> str:
-    """Line and column of a position, the line itself, and a caret below the position."""
+    """Line and column of a position, its line, and a caret."""
     start = text.rfind("\n", 0, position) + 1
     line = text[start:].split("\n", 1)[0]
     blank = re.sub(r"[^\t]", " ", text[start:position])

@@ -141,7 +141,7 @@ def label_boxes(
 
 
 def _columns(initial: int, transitions: Collection[Transition], states: Iterable[int]) -> dict[int, int]:
-    """Column of every state: the longest path to its component; unreached states go last."""
+    """Column of every state: the longest path to its component."""
     successors = predecessors((target, q) for q, target in transitions)
     ahead = {q: closure([q], successors) for q in {initial, *(q for tau in transitions for q in tau)}}
     column: dict[int, int] = {}
@@ -158,7 +158,7 @@ def _columns(initial: int, transitions: Collection[Transition], states: Iterable
 
 
 def _rows(column: Mapping[int, int], transitions: Collection[Transition]) -> list[list[int]]:
-    """States of every column from top to bottom, by the mean height of their neighbours."""
+    """States of every column, ordered by the mean height of their neighbours."""
     rows = [sorted(q for q in column if column[q] == x) for x in range(max(column.values()) + 1)]
     for sweep in range(6):
         order = range(len(rows)) if sweep % 2 == 0 else range(len(rows) - 1, -1, -1)
@@ -175,7 +175,7 @@ def _rows(column: Mapping[int, int], transitions: Collection[Transition]) -> lis
 
 
 def _curve(a: Points, b: Points, bow: float) -> Curve:
-    """From rim to rim; the curve's middle is ``bow`` pixels left of the straight line."""
+    """A curve whose middle is ``bow`` pixels left of the straight line."""
     along = b - a
     normal = np.array([along[1], -along[0]]) / np.hypot(*along)
     control = (a + b) / 2 + 2 * bow * normal

@@ -78,7 +78,7 @@ def _with_fresh_initial(automaton: RawAutomaton) -> tuple[NDArray[np.int32], NDA
 
 
 def _unique(rows: NDArray[Any]) -> tuple[NDArray[Any], NDArray[np.int32]]:
-    """Distinct rows in order of first occurrence, and each row's index among them."""
+    """Distinct rows by first occurrence, and each row's index among them."""
     numbers: dict[bytes, int] = {}
     inverse = np.array(
         [numbers.setdefault(row.tobytes(), len(numbers)) for row in np.ascontiguousarray(rows)],
@@ -89,7 +89,7 @@ def _unique(rows: NDArray[Any]) -> tuple[NDArray[Any], NDArray[np.int32]]:
 
 
 def _refined(delta: NDArray[np.int32], accepting: NDArray[np.bool_], deadline: Deadline) -> NDArray[np.int32]:
-    """Moore's partition refinement: states of a block accept the same suffixes, the empty one included."""
+    """Moore's partition refinement: states of a block accept the same suffixes."""
     block = _unique(accepting[:, None])[1]
     while True:
         deadline.check()

@@ -84,7 +84,7 @@ def _run_mona(program: str, deadline: Deadline) -> str:
 
 
 def _output(command: list[str], deadline: Deadline) -> str:
-    """Run a command and return its output; kills its process group on timeout."""
+    """Output of a command, killed with its process group on timeout."""
     process = _started(command)
     try:
         output, _ = process.communicate(timeout=deadline.left())
@@ -100,7 +100,7 @@ def _output(command: list[str], deadline: Deadline) -> str:
 
 
 def _started(command: list[str]) -> subprocess.Popen[str]:
-    """Start a process in its own session, so that its children can be killed with it."""
+    """Start a process in its own session, so that its children can be killed too."""
     try:
         return subprocess.Popen(
             command,

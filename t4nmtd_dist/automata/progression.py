@@ -49,7 +49,7 @@ def translate_by_progression(formula: Formula, propositions: Sequence[str], dead
 
 
 class _Unfolding:
-    """Formulas as diagrams over propositions (upper levels) and obligations (lower levels)."""
+    """Formulas as diagrams; propositions have the upper levels, obligations the lower."""
 
     def __init__(self, propositions: Sequence[str], deadline: Deadline) -> None:
         self._diagrams = DiagramStore(deadline)
@@ -79,7 +79,7 @@ class _Unfolding:
         return state == TRUE
 
     def _progress(self, state: int) -> int:
-        """Replace each obligation of a state with the unfolding of its formula."""
+        """Replace a state's obligations with the unfoldings of their formulas."""
         if state not in self._progressed:
             d = self._diagrams
             condition = self._unfold(self._obliged[d.level[state] - self._width])
@@ -141,5 +141,5 @@ class _Unfolding:
                 return d.conjunction(parts[1], d.disjunction(parts[0], self._weak_obligation(formula)))
 
     def _weak_obligation(self, formula: Formula) -> int:
-        """Diagram of: if there is a next position, the formula holds there."""
+        """Diagram of: the formula holds at the next position, if any."""
         return self._diagrams.negation(self.obligation(Formula(Operator.NOT, (formula,))))

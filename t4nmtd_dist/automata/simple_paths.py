@@ -136,8 +136,7 @@ class _Graph:
 def _path_through(graph: _Graph, edge: Edge, component: int, entries: int, exits: int) -> list[Edge]:
     """Edges, within a component, of a simple path from an entry over ``edge`` to an exit, if any.
 
-    Grows the path backwards from the edge's source to an entry; the second half then only needs a reachable exit among
-    the free vertices.
+    Grows the path backwards from ``edge`` to an entry; its second half then only needs a reachable exit.
     """
     q, target = edge
     dead: set[tuple[int, int, int]] = set()
@@ -169,8 +168,8 @@ def _path_through(graph: _Graph, edge: Edge, component: int, entries: int, exits
 def _separate(graph: _Graph, first: Walk, second: Walk) -> tuple[int, int] | None:
     """Vertices usable by each of two disjoint paths, or None if there cannot be two.
 
-    Repeatedly removes each path's unavoidable vertices from the other. This loses no pair of disjoint paths, but does
-    not prove that one exists.
+    Removes each path's unavoidable vertices from the other until nothing changes. This loses no pair of disjoint paths,
+    but does not prove that one exists.
     """
     (start, goal, mine), (other_start, other_goal, others) = first, second
     while True:

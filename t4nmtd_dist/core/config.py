@@ -1,8 +1,7 @@
-"""Task settings: frozen dataclasses with defaults, and their construction from plain data.
+"""Task settings: frozen dataclasses with defaults, built from plain data.
 
 Precedence: the defaults here < those of the chosen agent < the task file < ``--config`` files < ``--set`` flags
-(``core.setting_sources``). An unknown key is an error that suggests the nearest known one; a key of an earlier version
-is an error that names its replacement.
+(``core.setting_sources``). Unknown and former keys are errors that name the key to use.
 """
 
 from __future__ import annotations

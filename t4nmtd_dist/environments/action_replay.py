@@ -81,6 +81,6 @@ class ActionReplay:
         self._seeds.bit_generator.state = state["seeds"]
 
     def _reseed(self, seed: int) -> None:
-        """Reseed and record it with the next step; 0 in the record means no reseeding."""
+        """Reseed; the next step records it (0: none)."""
         self._reseeded = seed
         reseed(self._env, seed)

@@ -61,7 +61,7 @@ def action_bounds(space: object, environment: str, agent: str = "this agent") ->
 
 
 def _inside(bound: NDArray[Any], inwards: float) -> NDArray[np.float32]:
-    """The bound in float32, moved inwards by one ulp if rounding would exceed it."""
+    """The bound in float32, rounded inwards."""
     near: NDArray[np.float32] = bound.astype(np.float32)
     outside = near < bound if inwards > 0 else near > bound
     return np.where(outside, np.nextafter(near, np.float32(inwards)), near).astype(np.float32)

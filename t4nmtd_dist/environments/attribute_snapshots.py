@@ -39,9 +39,7 @@ class AttributeSnapshots:
     the wrappers around that layer are read), or MuJoCo's integration state.
 
     Args:
-        env: the environment.
         adapter: "own", "mujoco" or "attributes".
-        flattener: of its observations.
         snapshot_bytes: size of a snapshot; 0 for no padding.
     """
 
@@ -97,7 +95,7 @@ class AttributeSnapshots:
         return self._observation
 
     def _attributes(self) -> dict[str, tuple[dict[str, Any], str]]:
-        """Every attribute by key, as its dictionary and its name there."""
+        """Every attribute's dictionary and name, by key."""
         return {
             f"{depth}.{name}": (vars(layer), name)
             for depth, layer in enumerate(self._layers)
@@ -142,7 +140,7 @@ class AttributeSnapshots:
 
 
 class _MujocoState:
-    """MuJoCo's integration state: positions, velocities, controls, forces, and the solver's warm start."""
+    """MuJoCo's integration state, with the solver's warm start."""
 
     def __init__(self, env: Any) -> None:
         import mujoco

@@ -31,8 +31,7 @@ class Diagnosis:
     """The findings.
 
     Attributes:
-        environment: text form of the environment with its wrappers.
-        observation_space, action_space: their text forms.
+        environment, observation_space, action_space: their text forms, wrappers included.
         observation_size: length of the networks' observation, remaining time included.
         learner: its settings, with ``auto`` resolved.
         propositions: all that may be reported.
@@ -42,7 +41,7 @@ class Diagnosis:
         cut: accepted episodes that the environment ended before the horizon.
         endings: episodes by ending: accepted, error, terminated, truncated, horizon.
         true_steps: steps on which each proposition held.
-        together: counts of the sets of names seen that an exclusive group forbids.
+        together: counts of the sets seen that an exclusive group forbids.
         seen: counts of the sets of true propositions.
         suggestions: groups that might be declared exclusive.
         steps_per_s: of one environment, labels included.

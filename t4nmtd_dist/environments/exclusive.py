@@ -26,7 +26,6 @@ class Suggestion:
     """A group to declare exclusive, if its propositions really cannot hold together.
 
     Attributes:
-        group: the propositions, sorted.
         true_steps: steps on which each held.
         expected_together: expected number of steps with a pair if the propositions were independent; if small, seeing
             none means little.
@@ -105,7 +104,7 @@ def _true_steps(seen: Mapping[frozenset[str], int]) -> Counter[str]:
 def _cliques(
     apart: Mapping[str, set[str]], group: set[str], candidates: set[str], done: set[str]
 ) -> Iterator[set[str]]:
-    """Maximal cliques that extend ``group`` by ``candidates`` and none of ``done`` (Bron and Kerbosch, 1973)."""
+    """Maximal cliques that extend ``group`` (Bron and Kerbosch, 1973)."""
     if not candidates and not done:
         yield group
     for name in sorted(candidates):

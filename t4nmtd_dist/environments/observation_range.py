@@ -1,4 +1,4 @@
-"""Observed and declared ranges of observations, and warnings about those that networks learn badly from."""
+"""Ranges of observations, and warnings about those that networks learn badly from."""
 
 from __future__ import annotations
 
@@ -20,11 +20,7 @@ MEND = 'scale them to about -1 to 1, or set learner.normalise_observations = "on
 
 
 class ObservationRange:
-    """Range of every observation entry so far, and whether it was always whole.
-
-    Args:
-        parts: parts of the observation.
-    """
+    """Range of every observation entry so far, and whether it was always whole."""
 
     def __init__(self, parts: Sequence[Part]) -> None:
         size = sum(part.size for part in parts)
@@ -110,7 +106,7 @@ class ObservationRange:
 def _bounds(
     part: Part, lowest: NDArray[np.float64], highest: NDArray[np.float64]
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Declared bounds where they look like a grid's, else observed ones, float64 [k] each."""
+    """Declared bounds that look like a grid's, else observed ones, float64 [k] each."""
     low = part.space.low.reshape(-1).astype(np.float64)  # type: ignore[attr-defined]
     high = part.space.high.reshape(-1).astype(np.float64)  # type: ignore[attr-defined]
     grid = high - low <= LARGEST_GRID  # False if one of them is infinite

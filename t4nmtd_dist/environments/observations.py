@@ -137,7 +137,7 @@ def _part(space: gym.Space[Any], name: str) -> Part | None:
 
 
 def _categories(space: gym.Space[Any]) -> tuple[NDArray[np.int64], NDArray[np.int64]] | None:
-    """Lowest values and numbers of values, int64 [k] each, of integers that become one-hot; None if none do."""
+    """Lowest values and value counts, int64 [k] each, of integers that become one-hot, or None."""
     if isinstance(space, spaces.Discrete):
         return np.array([space.start], np.int64), np.array([space.n], np.int64)
     if isinstance(space, spaces.MultiDiscrete):

@@ -53,7 +53,7 @@ def open_environment(config: EnvironmentConfig, *, render_mode: str | None = Non
 
 
 def _takes_render_mode(maker: Callable[..., Any]) -> bool:
-    """Whether a callable takes the keyword; assumed if its signature is unknown."""
+    """Whether a callable takes the keyword; True if unknown."""
     try:
         parameters = inspect.signature(maker).parameters
     except (TypeError, ValueError):

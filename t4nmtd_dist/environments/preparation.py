@@ -20,9 +20,7 @@ SLOW = (
 
 
 def prepared(task: CompiledTask) -> CompiledTask:
-    """Check a task's environment, unless it is bundled and thus covered by our tests.
-
-    If such a task's formula, propositions or algorithm were changed, their fit is checked.
+    """Check a task's environment; of a bundled one, only the fit of a changed formula, propositions or algorithm.
 
     Returns:
         The task with environment-dependent settings resolved, so that all workers agree: snapshots, algorithm, and

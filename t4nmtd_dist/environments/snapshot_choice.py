@@ -28,7 +28,6 @@ class AdapterChoice:
     """The adapter that restores exactly.
 
     Attributes:
-        adapter: its name.
         snapshot_bytes: size reserved for a snapshot; twice the largest seen.
         failures: adapters tried before, and why they failed.
     """

@@ -1,9 +1,8 @@
 """Environment snapshots: flat arrays that any process with the same environment can restore.
 
 ``OwnSnapshots`` serves environments that implement ``envs.protocol``, such as the bundled ones. Others use
-``AttributeSnapshots`` (their attributes, and their own ``get_state`` or MuJoCo's integration state if available) or
-``ActionReplay`` (a seed and the actions since); docs/decisions/010 gives the reasons. Snapshots exclude the
-environment's generator ``np_random``: every rollout reseeds it.
+``AttributeSnapshots`` (attributes, plus ``get_state`` or MuJoCo's integration state) or ``ActionReplay`` (a seed and
+the actions since); see docs/decisions/010. Snapshots exclude ``np_random``: every rollout reseeds it.
 """
 
 from __future__ import annotations

@@ -73,7 +73,7 @@ class _Encoder:
         return self._encode_parts(value)
 
     def _encode_parts(self, value: Any) -> Any:
-        """Encode containers at every occurrence, except inside themselves, and objects at the first."""
+        """Encode containers at every occurrence, objects at the first."""
         self._seen.add(id(value))
         encode = _ENCODERS.get(type(value)) or _inherited_encoder(value)
         if encode is not None:

@@ -61,13 +61,13 @@ def _folder_of(top: str, folders: Sequence[str]) -> str | None:
 
 
 def _importable(name: str, folders: Sequence[str]) -> str:
-    """The name under which Python finds the module of the first folder that has it."""
+    """Import name of the module in the first folder that has it."""
     folder = _folder_of(name.partition(".")[0], folders)
     return _private(name, folder) if folder is not None and _is_hidden(name, folder) else name
 
 
 def _is_hidden(name: str, folder: str) -> bool:
-    """Whether the folder has this module, but its plain name gives another one."""
+    """Whether the folder's module is shadowed under its plain name."""
     top, _, rest = name.partition(".")
     theirs = PathFinder.find_spec(top, [folder])
     if theirs is None:

@@ -59,7 +59,6 @@ class TimedEnv:
     time: uint8 arrays of the time, the dtype of the environment's own snapshot, and its bytes.
 
     Args:
-        env: the environments.
         horizon: steps per episode.
 
     Raises:

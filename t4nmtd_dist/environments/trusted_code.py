@@ -72,7 +72,7 @@ def _section(config: EnvironmentConfig) -> dict[str, Any]:
 
 
 def _owner(folder: str) -> int | None:
-    """User id of a folder's owner; None if it does not exist."""
+    """User id of a folder's owner, if it exists."""
     try:
         return os.stat(folder).st_uid
     except (OSError, ValueError):
@@ -80,7 +80,7 @@ def _owner(folder: str) -> int | None:
 
 
 def _write(path: Path, entry: dict[str, Any]) -> None:
-    """Write a record; two processes may write the same one at once."""
+    """Write a record, atomically for concurrent processes."""
     fresh = path.with_name(f".{path.name}.{os.getpid()}")
     fresh.unlink(missing_ok=True)
     with os.fdopen(os.open(fresh, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o600), "w", encoding="utf-8") as file:
@@ -89,7 +89,7 @@ def _write(path: Path, entry: dict[str, Any]) -> None:
 
 
 def _forget_oldest(folder: Path) -> None:
-    """Limit the number of records; another process may do so at the same time."""
+    """Limit the number of records, tolerating concurrent processes."""
     dated = []
     for path in folder.iterdir():
         with suppress(FileNotFoundError):

@@ -71,7 +71,7 @@ def _is_in(file: str, folders: list[str]) -> bool:
 
 
 def _own_folders() -> list[str]:
-    """Folders of our packages and of gymnasium, whose wrappers sit between them and user code."""
+    """Folders of our packages and of gymnasium."""
     specs = [find_spec(name) for name in OWN]
     return [f"{Path(spec.origin).parent}/" for spec in specs if spec is not None and spec.origin is not None]
 

@@ -24,7 +24,7 @@ Translator = Literal["auto", "mona", "python"]
 
 @dataclass(frozen=True)
 class CompiledTask:
-    """A compiled task, as the coordinator sends it to every worker.
+    """A compiled task, sent by the coordinator to every worker.
 
     Attributes:
         dist: distance of every DFA state to acceptance, infinite in E.

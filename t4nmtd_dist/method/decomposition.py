@@ -203,7 +203,7 @@ def _dealt(
 
 
 def _objectives(dfa: DFA, tau: Transition, allowed: TruthTable, waiting: frozenset[str]) -> set[str]:
-    """Pids of a transition: what its guard requires beyond what holds while waiting in its source."""
+    """What the guard of a transition requires beyond what holds while waiting in its source."""
     label = prime_implicants(dfa.symbols(*tau) & allowed, ~allowed, dfa.propositions)
     return {pid for implicant in label for pid in _implicant_pids(implicant, waiting)}
 
@@ -217,7 +217,7 @@ def _implicant_pids(implicant: Cube, waiting: frozenset[str]) -> tuple[str, ...]
 
 
 def _entailed(symbols: TruthTable, propositions: tuple[str, ...]) -> frozenset[str]:
-    """Literals that hold in all given symbols; none if there is no symbol."""
+    """Literals that hold in all given symbols, if any."""
     held = np.flatnonzero(symbols)
     if not held.size:
         return frozenset()
@@ -228,7 +228,7 @@ def _entailed(symbols: TruthTable, propositions: tuple[str, ...]) -> frozenset[s
 
 
 def _literal_pids(dfa: DFA, tau: Transition, allowed: TruthTable) -> set[str]:
-    """Every literal of the label as written, except in cubes that no allowed symbol satisfies."""
+    """Literals of the label as written, without unsatisfiable cubes."""
     cubes = [cube for cube in dfa.edges[tau] if _satisfiable(dfa, cube, allowed)]
     return {literal for cube in cubes for literal in cube or (TICK,)}
 
@@ -243,7 +243,7 @@ def _satisfiable(dfa: DFA, cube: Cube, allowed: TruthTable) -> bool:
 
 
 def _shuffled(decomposition: Decomposition, seed: int) -> Decomposition:
-    """Redistribute the transitions at random over as many sub-tasks, with the same multiplicities."""
+    """Redistribute the transitions at random, with the same multiplicities."""
     shares = Counter(tau for taus in decomposition.subtasks.values() for tau in taus)
     rng = np.random.default_rng(seed)
     order = rng.permutation(len(shares))

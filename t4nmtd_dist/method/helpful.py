@@ -67,7 +67,7 @@ def _helps(
     allowed: TruthTable,
     deadline: Deadline | None,
 ) -> bool:
-    """Whether a literal (or ``tick``, which has none) helps with one of its transitions."""
+    """Whether a literal (or ``tick``) helps with one of its transitions."""
     bit = dfa.symbol([pid.removeprefix("~")])
     symbols = np.arange(allowed.size)
     usable = allowed & allowed[symbols ^ bit] & (((symbols & bit) > 0) != pid.startswith("~"))

@@ -33,7 +33,7 @@ def distances(
     """dist(q) of every state: the number of transitions from q to acceptance.
 
     Ignores self-loops and symbols excluded by ``exclusive``. If the trace ends with the episode, a final step that
-    makes the formula true counts as two, since two events are needed.
+    makes the formula true counts as two.
 
     Args:
         dfa: the task automaton.
@@ -45,7 +45,7 @@ def distances(
         state -> distance: 0 on F; infinite on E and on states that only excluded symbols reach.
 
     Raises:
-        ConfigError: for an unknown mode, more than 100,000 simple paths in all with ``mean``, or a passed deadline.
+        ConfigError: for an unknown mode, over 100,000 simple paths with ``mean``, or a passed deadline.
     """
     if mode not in get_args(DistanceMode):
         raise ConfigError(f"unknown dist {mode!r}; expected one of {', '.join(get_args(DistanceMode))}")

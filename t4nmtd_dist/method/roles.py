@@ -61,13 +61,13 @@ def role_of(config: TaskConfig, dfa: DFA, decomposition: Decomposition, rho: NDA
 
 
 def _error_penalty(config: TaskConfig) -> float:
-    """If success comes only at the end of the episode, a late error must be better than an early one."""
+    """With success only at the episode's end, a late error must be better than an early one."""
     least = ACCEPTANCE_REWARD if config.acceptance == "end" else 0.0
     return max(config.learner.error_penalty, least)
 
 
 def _attempt_steps(config: TaskConfig, tables: SubtaskTables) -> int:
-    """Attempts must last until the end of the episode if their goals are reached only there."""
+    """Attempts at goals reached only at the episode's end must last until then."""
     steps = config.learner.attempt_steps
     waits_for_end = config.acceptance == "end" and not tables.target[:, ~tables.accepting].any()
     return max(steps, config.environment.horizon) if waits_for_end else steps

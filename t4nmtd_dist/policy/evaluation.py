@@ -68,13 +68,12 @@ class Evaluator:
     def run(self, policy: GlobalPolicy, *, perturb: int = 0, actions: ActionMode | None = None) -> EvaluationResult:
         """Run one evaluation: every episode starts from the true reset with a new step counter.
 
-        If the trace ends with the episode (docs/acceptance.md), the random actions of ``perturb`` count as steps: start
-        states carry their time, so these episodes end earlier.
+        If the trace ends with the episode (docs/acceptance.md), the random actions of ``perturb`` count as steps.
 
         Args:
             policy: the acting policy.
             perturb: each episode begins with k random actions, k uniform in 0..perturb. If they end the episode, k and
-                the actions are redrawn, which favours smaller k in dangerous environments.
+                the actions are redrawn, which favours smaller k.
             actions: ``greedy`` or ``sampled``; None for the policy's own mode.
 
         Raises:
@@ -145,7 +144,7 @@ class Evaluator:
         return EvaluationResult(success, lengths, returns, path, redrawn)
 
     def _perturbed_starts(self, policy: GlobalPolicy, most: int) -> tuple[Observations, NDArray[np.int32], int]:
-        """Start states after random actions; redraws those that ended the episode."""
+        """Start states after random actions that did not end the episode."""
         rows = list(range(self._env.count))
         snapshots: dict[int, tuple[NDArray[np.generic], int]] = {}
         redrawn = 0
@@ -161,7 +160,7 @@ class Evaluator:
         raise EnvError(f"{PERTURBATION_ROUNDS} rounds of {most} random actions each ended in error states")
 
     def _random_walks(self, policy: GlobalPolicy, most: int) -> dict[int, tuple[NDArray[np.generic], int]]:
-        """Snapshot and DFA state after k random actions, for every row that survived."""
+        """Snapshot and DFA state after k random actions, for surviving rows."""
         count = self._env.count
         accepting, error = _masks(policy)
         self._reset()

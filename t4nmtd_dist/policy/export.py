@@ -85,7 +85,7 @@ def export_policy(
 
 
 def _beside(folder: Path) -> tuple[Path, Path]:
-    """Folders of the new export and of the replaced one until it is deleted."""
+    """Temporary folders of the new export and of the replaced one."""
     return folder.with_name(folder.name + ".new"), folder.with_name(folder.name + ".old")
 
 

@@ -90,11 +90,11 @@ class GlobalPolicy:
 
     @property
     def _timed(self) -> bool:
-        """Whether the trace ends with the episode, so that actors observe the remaining time (docs/acceptance.md)."""
+        """Whether actors observe the remaining time (docs/acceptance.md)."""
         return LAST in self.dfa.propositions
 
     def _choices(self) -> dict[int, str]:
-        """The method's greedy choice in every DFA state, among the sub-tasks with an actor."""
+        """The greedy choice in every DFA state, among sub-tasks with an actor."""
         module = method_module(self.config.learner.method)
         method = module.build(self.config, self.dfa, self.decomposition, self.rho)
         method.load(self.q_table)
@@ -209,7 +209,7 @@ class GlobalPolicy:
         return self._after(labels, ended=ended) in self.dfa.error
 
     def _after(self, labels: Iterable[str], *, ended: bool = False) -> int:
-        """The DFA state after the step that followed the last action."""
+        """The DFA state after the last action's step."""
         ended = ended or self._steps + 1 >= self.config.environment.horizon
         return self.dfa.step(self._q, [*labels, LAST] if ended else labels)
 
@@ -232,7 +232,7 @@ class GlobalPolicy:
         return np.concatenate([row, share.reshape(1, 1)], axis=1)
 
     def _observation_size(self) -> int | None:
-        """Length of the actors' observations without the DFA state; None if there is no actor."""
+        """Length of the actors' observations, or None without actors."""
         return next((actor.inputs - self.dfa.states for actor in self._actors.values()), None)
 
     def check_fits(self, observations: Observations) -> None:

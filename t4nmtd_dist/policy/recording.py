@@ -127,7 +127,7 @@ def captioned(moment: Moment, policy: GlobalPolicy, propositions: tuple[str, ...
 def _draw_labels(
     draw: ImageDraw.ImageDraw, top: float, width: float, labels: frozenset[str], propositions: tuple[str, ...]
 ) -> None:
-    """True propositions dark, others faint; only true ones if there is no room for all."""
+    """True propositions dark, others faint or omitted if there is no room."""
     room = sum(draw.textlength(name, _font()) + 14 for name in propositions) < width - 10
     left = 10.0
     for name in propositions if room else sorted(labels):

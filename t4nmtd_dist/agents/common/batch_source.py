@@ -24,12 +24,9 @@ class BatchSource:
     """Draws batches for one sub-task.
 
     Args:
-        pid: the sub-task.
         experience: the learner's own replay buffer.
-        reader: relabels rows for the sub-task.
         config: shares of a batch.
         method: selects the DFA states to read rows in, and the bootstrap peer.
-        rng: the learner's generator.
 
     Attributes:
         others: peers' replay buffers by pid; may include the own one.
@@ -60,7 +57,7 @@ class BatchSource:
         return [experience for pid, experience in self.others.items() if pid != self._pid and len(experience)]
 
     def draw(self, number: int, success: float) -> DrawnBatch:
-        """Draw a batch. Its peer share comes from one peer, drawn in proportion to buffer length.
+        """Draw a batch; its peer share comes from one peer, drawn in proportion to buffer length.
 
         Args:
             number: of the batch.
@@ -89,7 +86,7 @@ class BatchSource:
         )
 
     def _own_rows(self, size: int) -> Reading:
-        """Own rows, each read in its own DFA state or in one drawn from all of the sub-task's."""
+        """Own rows, read in their own or another DFA state of the sub-task."""
         config, experience = self._config, self._experience
         rows = experience.sample(size, config.success_share, self._rng)
         q = experience.q[rows]
@@ -98,10 +95,9 @@ class BatchSource:
         return self.reader.read(experience, rows, q)
 
     def _peers_rows(self, others: Sequence[ReplayBuffer], size: int, success: float) -> Reading:
-        """A peer's rows, read in DFA states of the own sub-task, since the peer's DFA states may not belong to it.
+        """A peer's rows, read in DFA states of the own sub-task.
 
-        The lower its success rate, the more a learner draws from the peer's steps before accidental successes, just as
-        it draws from the steps before its own successes.
+        The lower the success rate, the more of them come from before accidental successes.
         """
         lengths = np.array([len(experience) for experience in others])
         experience = others[int(self._rng.choice(len(others), p=lengths / lengths.sum()))]

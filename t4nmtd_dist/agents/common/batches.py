@@ -22,9 +22,9 @@ class Batch:
 
     Attributes:
         states: product states [B, d + |Q|].
-        actions: as stored: within [-1, 1] if continuous, action indices if discrete [B, A].
+        actions: within [-1, 1] if continuous, indices if discrete [B, A].
         rewards: scaled n-step returns [B].
-        discounts: gamma**n, or 0 if the transition is terminal [B].
+        discounts: gamma**n, or 0 at terminals [B].
         next_states: product states n steps later [B, d + |Q|].
     """
 
@@ -45,9 +45,9 @@ class DrawnBatch:
         actions: [B, A].
         rewards: scaled n-step returns [B].
         discounts: [B].
-        next_states: product states of the bootstrap [B, d + |Q|].
+        next_states: bootstrap product states [B, d + |Q|].
         asked_rows: rows that bootstrap from a peer [k].
-        asked_pids: that peer, for each of them [k].
+        asked_pids: their peers [k].
         asked_q: DFA states of their next states [k].
     """
 
@@ -62,7 +62,7 @@ class DrawnBatch:
     asked_q: States
 
     def questions(self, observation_size: int) -> Questions:
-        """The queries to peers; an observation is the first ``observation_size`` numbers of a state."""
+        """Queries to peers; ``observation_size`` is d."""
         observations = self.next_states[self.asked_rows, :observation_size]
         return Questions(self.asked_rows, self.asked_pids, observations, self.asked_q)
 

@@ -13,7 +13,7 @@ BATCHES_AHEAD = 16  # twice the batches per request: the other half gives peers 
 
 
 class BatchesAhead:
-    """A queue of drawn batches that remembers which ones peers have been queried about.
+    """A queue of drawn batches and the peer queries about them.
 
     Intended loop::
 
@@ -21,7 +21,7 @@ class BatchesAhead:
         train_on(batch, answers)
 
     Args:
-        observation_size: d, the part of a product state that is sent to peers.
+        observation_size: d, the part of a product state sent to peers.
 
     Attributes:
         drawn: batches in training order.
@@ -34,11 +34,11 @@ class BatchesAhead:
         self._asked = 0  # batches of smaller numbers have been asked about
 
     def next(self, draw: Callable[[int], DrawnBatch], peers: PeerCritics) -> tuple[DrawnBatch, PeerValues]:
-        """Pop the oldest batch with its answers, after refilling the queue and querying peers.
+        """Pop the oldest batch and its answers; refills the queue and queries peers first.
 
         Args:
             draw: draws the batch with the given number.
-            peers: the peers to query.
+            peers: to query.
         """
         while len(self.drawn) < BATCHES_AHEAD:
             self.drawn.append(draw(self._first + len(self.drawn)))
@@ -48,7 +48,7 @@ class BatchesAhead:
         return batch, peers.gather(batch.number)
 
     def _ask(self, peers: PeerCritics) -> None:
-        """Query peers about all batches not queried yet; after a resume, about all batches."""
+        """Query peers about all batches not queried yet."""
         for batch in self.drawn:
             if batch.number >= self._asked:
                 self._asked = batch.number + 1
@@ -60,7 +60,7 @@ class BatchesAhead:
         return [dict(vars(batch)) for batch in self.drawn]
 
     def load_state_dict(self, batches: Iterable[Mapping[str, Any]], first: int) -> None:
-        """Restore the batches; peers are queried about them again.
+        """Restore the batches; peers will be queried again.
 
         Args:
             batches: from ``state_dict``.

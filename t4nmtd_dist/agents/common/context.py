@@ -21,10 +21,8 @@ class AgentContext:
     """Sub-task, environments and settings of one learner.
 
     Attributes:
-        pid: the sub-task.
         task: the compiled task: settings, DFA and all sub-tasks.
         rollout: N environments in which the learner attempts the sub-task.
-        action_space: of the environment.
         method: the learner's copy of the method; the coordinator updates its high level.
         seed: for networks and sampling.
         device: device of the networks in training; the rollout and answers to peers stay on the CPU.

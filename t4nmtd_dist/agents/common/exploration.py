@@ -51,7 +51,7 @@ class SinusoidExploration:
         self._time[rows] = 0
 
     def state_dict(self) -> State:
-        """The sinusoid of every environment, for a checkpoint; the generator's owner saves the generator."""
+        """All sinusoids, for a checkpoint, without the generator."""
         return {name: column.copy() for name, column in self._columns().items()}
 
     def load_state_dict(self, state: State) -> None:
@@ -71,11 +71,11 @@ class SinusoidExploration:
 
 
 class HeldActionExploration:
-    """Interrupts the policy in some attempts with uniform random actions, each held for some steps.
+    """Interrupts the policy in some attempts with uniform random actions held for some steps.
 
     Temporally extended epsilon-greedy (Dabney et al., 2021). The policy keeps the attempt alive in between; held
-    actions reach states that per-step noise would not. In a step without a held action, a new one starts with
-    probability 0.1 and lasts 1 to 20 steps.
+    actions reach states that per-step noise would not. In a step without one, a held action starts with probability 0.1
+    and lasts 1 to 20 steps.
 
     Args:
         count: number of environments.
@@ -109,7 +109,7 @@ class HeldActionExploration:
         return driven
 
     def state_dict(self) -> State:
-        """The held action of every environment, for a checkpoint; the generator's owner saves the generator."""
+        """All held actions, for a checkpoint, without the generator."""
         return {name: column.copy() for name, column in self._columns().items()}
 
     def load_state_dict(self, state: State) -> None:
@@ -124,8 +124,8 @@ class HeldActionExploration:
 class Exploration:
     """Held actions, sinusoids, both or none, each in the same share of attempts.
 
-    Each kind selects its attempts independently; the sinusoid takes precedence. A disabled kind has share 0 but still
-    draws its random numbers, so that all choices see the same random sequence.
+    Each kind selects attempts independently; sinusoids take precedence. A disabled kind has share 0 but still draws
+    random numbers, so that all choices see the same sequence.
 
     Args:
         kinds: ``held+sinusoid``, ``held``, ``sinusoid`` or ``none``.
@@ -150,7 +150,7 @@ class Exploration:
         return self._sinusoid.drive(self._held.drive(actions))
 
     def state_dict(self) -> State:
-        """State of both kinds; the generator's owner saves the generator."""
+        """State of both kinds, without the generator."""
         return {"sinusoid": self._sinusoid.state_dict(), "held": self._held.state_dict()}
 
     def load_state_dict(self, state: State) -> None:

@@ -25,7 +25,7 @@ class FlatAdam:
         parameters: float32 [P], changed in place by ``step``.
         learning_rate: step size.
         epsilon: added to the root of the second moment; torch's default.
-        sizes: lengths of parts to update separately; by default one part. The kernel rounds the last numbers of a part
+        sizes: lengths of parts to update separately; by default one. The kernel rounds a part's last numbers
             differently, so bitwise equality with torch needs torch's parts.
 
     Attributes:

@@ -28,7 +28,7 @@ STEPS_PER_ITERATION = 10  # per environment, between two messages to the coordin
 
 
 class OffPolicyAgent(Protocol):
-    """The algorithm-specific part of an off-policy learner: how it acts and how a batch updates its networks.
+    """The algorithm-specific part of an off-policy learner.
 
     Intended loop::
 
@@ -44,7 +44,7 @@ class OffPolicyAgent(Protocol):
     """Shape of what ``values`` says of one product state."""
 
     def act(self, states: Floats, begun: NDArray[np.bool_], success: float) -> Floats:
-        """Actions to store [N, A], exploration included.
+        """Actions to store [N, A], with exploration.
 
         Args:
             states: product states [N, d + |Q|].
@@ -60,7 +60,7 @@ class OffPolicyAgent(Protocol):
 
         Args:
             batch: B transitions.
-            answers: peers' values for some of its rows, used as bootstrap.
+            answers: peers' bootstrap values for some rows.
             success: recent success rate.
         """
 
@@ -97,9 +97,6 @@ class OffPolicyLearner:
     """``Learner`` of an off-policy agent.
 
     Args:
-        context: the sub-task and its environments.
-        config: the agent's settings.
-        agent: acts and learns.
         rng: draws batches; the agent may share it.
     """
 
@@ -132,7 +129,7 @@ class OffPolicyLearner:
         return max(1, self.replay_buffer.steps // max(1, peers)) if self.batches.reads_peers else 0
 
     def iterate(self, peers: PeerCritics) -> bool:
-        """Step all environments and run the updates due; False while there is no start state."""
+        """Step all environments and run the due updates; False while there is no start state."""
         if not self.rollout.begin():
             return False
         for _ in range(STEPS_PER_ITERATION):

@@ -1,9 +1,9 @@
 """Policy intervention: the source of a value across a sub-task boundary (paper, Algorithm 2).
 
-A learner that leaves a DFA state hands over to a peer, so it bootstraps from the peer's value. Implementations of the
-interface (docs/decisions/013): ``NoPeers`` (experiment 3: own critic), ``LocalPeers`` (same process),
-``wire.critic_client.QueryPeers`` (query the peer's process), ``wire.replica.ReplicaPeers`` (evaluate a local copy of
-its networks), and ``MixedPeers`` (some local, the others remote).
+A learner that leaves a DFA state hands over to a peer and bootstraps from its value. Implementations
+(docs/decisions/013): ``NoPeers`` (experiment 3: own critic), ``LocalPeers`` (same process),
+``wire.critic_client.QueryPeers`` (query the peer's process), ``wire.replica.ReplicaPeers`` (local copy of its
+networks), and ``MixedPeers`` (some local, others remote).
 """
 
 from __future__ import annotations
@@ -29,9 +29,9 @@ class InterventionCounts:
     Attributes:
         asked: rows queried from peers.
         answered: rows trained with the peer's value.
-        late: rows whose answer was missing when their batch was trained.
+        late: rows without an answer at their update.
         own_used: rows that fell back to the own critic, late ones included; ``asked`` minus ``answered``.
-        lag_total: sum over answered rows of how many versions behind the peer the answering networks were.
+        lag_total: sum over answered rows of the versions that the answering networks were behind the peer.
     """
 
     asked: int = 0
@@ -98,7 +98,7 @@ class PeerValues:
 
 
 class PeerCritics(Protocol):
-    """Queried about numbered batches ahead of their updates; returns all answers when a batch is trained.
+    """Queried about numbered batches ahead of their updates.
 
     Intended loop::
 
@@ -136,8 +136,8 @@ class LocalPeers:
     """Peers in the same process, evaluated when a batch is gathered: no lag.
 
     Args:
-        critics: functions from observations [k, d] and DFA states [k] to values [k], by pid. Every ``gather`` reads the
-            mapping again; rows of a missing pid stay unanswered.
+        critics: functions from observations [k, d] and DFA states [k] to values [k], by pid; read at every ``gather``.
+            Rows of a missing pid stay unanswered.
     """
 
     def __init__(self, critics: Mapping[str, CriticValues]) -> None:

@@ -37,11 +37,11 @@ class Critic(Protocol):
 
 
 class PublishedCritic:
-    """``PublishedValues`` of one critic and its observation statistics.
+    """``PublishedValues`` of one critic and its observation statistics, both owned by this object.
 
     Args:
-        critic: the copy, owned by this object.
-        normalisation: statistics owned by this object, to load others into.
+        critic: the copy.
+        normalisation: its statistics.
         dfa_states: |Q|.
     """
 
@@ -61,17 +61,17 @@ class PublishedCritic:
             return self._critic.weights() | self._normalisation.weights(), self._version
 
     def load(self, weights: Arrays, version: int) -> None:
-        """Replace the weights with the ``weights`` of another copy.
+        """Load another copy's ``weights``.
 
         Raises:
-            PolicyError: if names or shapes differ; the copy must then be discarded.
+            PolicyError: if names or shapes differ; discard the copy then.
             ProtocolError: if they are not finite.
         """
         check_finite(weights)
         self.update(weights, version)
 
     def update(self, weights: Arrays, version: int) -> None:
-        """``load`` for weights from this process, without the check for finite values."""
+        """``load`` without the check for finite values, for weights from this process."""
         with self._lock:
             self._critic.load(self._normalisation.load(weights))
             self._version = version

@@ -22,7 +22,6 @@ class Reading:
 
     Attributes:
         states: product states [B, d + |Q|].
-        actions: [B, A].
         rewards: scaled n-step returns [B].
         discounts: of the bootstrap, 0 at terminals [B].
         next_states: product states of the bootstrap [B, d + |Q|].
@@ -51,7 +50,6 @@ class ExperienceReader:
     """Relabels replay rows for one sub-task.
 
     Attributes:
-        tables: of the sub-task.
         delta: the DFA's transition table, int32 [Q, symbols].
         gamma: discount per step.
         reward_scale: reward factor.

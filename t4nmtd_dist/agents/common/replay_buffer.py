@@ -1,9 +1,9 @@
 """Symbol replay: transitions readable in any DFA state (exact relabelling), with n-step returns.
 
-A row holds what the environment did: <s, a, symbol, s'>. Its meaning for the task (q', reward, boundary) depends on the
-DFA state it is read in, so it is computed when a batch is drawn and never stored. One row thus serves every DFA state
-of the sub-task, with exact rewards. It also serves peers' sub-tasks (docs/decisions/016): ``since`` exports rows and
-``extend`` imports another learner's.
+A row holds what the environment did: <s, a, symbol, s'>. Its task meaning (q', reward, boundary) depends on the DFA
+state it is read in, so it is computed when a batch is drawn. One row thus serves every DFA state of the sub-task with
+exact rewards, and peers' sub-tasks too (docs/decisions/016): ``since`` exports rows, ``extend`` imports another
+learner's.
 """
 
 from __future__ import annotations
@@ -33,10 +33,10 @@ class Returns:
 
     Attributes:
         reward: sum of gamma^i r_i, float64 [B], unscaled.
-        discount: gamma^k of the bootstrap after k steps, 0 at terminals, float64 [B].
+        discount: gamma^k after k steps, 0 at terminals, float64 [B].
         last: flat rows whose s' is the bootstrap state [B].
         q_next: DFA state of the bootstrap, int32 [B].
-        boundary: whether the DFA state changed to one outside F and E, so that the value is the peer's, bool [B].
+        boundary: DFA change to a state outside F and E, so the value is the peer's, bool [B].
     """
 
     reward: NDArray[np.float64]
@@ -159,12 +159,11 @@ class ReplayBuffer:
         """Copies of the kept steps from number ``step`` on; thread-safe.
 
         Args:
-            step: step number counted from 0, overwritten steps included.
-            most_bytes: maximum size; returns at least one step, if there is one.
+            step: counted from 0, overwritten steps included.
+            most_bytes: maximum size, but at least one step.
 
         Returns:
-            The number of the first step, and the columns named in ``SHARED`` [T, N, ...]; T is 0 if there are no such
-            steps.
+            The number of the first step, and the columns named in ``SHARED`` [T, N, ...]; T is 0 if there are none.
         """
         with self._lock:
             first = min(max(step, self._written - self.steps, 0), self._written)
@@ -178,7 +177,7 @@ class ReplayBuffer:
 
         Args:
             columns: from ``since`` of a buffer of the same shapes.
-            follows: whether they directly follow the last stored steps; if not, all open attempts are marked as ended.
+            follows: whether they directly follow the last stored steps; if not, open attempts are marked as ended.
         """
         steps = min(len(columns["symbols"]), self.steps)
         rows = self.rows_of(self._written, steps)
@@ -236,7 +235,7 @@ class ReplayBuffer:
         return Returns(reward, np.where(terminal, 0.0, discount), last, q_next, (q_next != q) & ~terminal)
 
     def state_dict(self) -> dict[str, NDArray[Any]]:
-        """The buffer's state as arrays; views of the filled part, to be written before the next ``add``."""
+        """State as arrays; views of the filled part, to be written before the next ``add``."""
         filled = {name: column[: len(self)] for name, column in self._columns().items()}
         written = np.array(self._written, np.int64)
         return filled | {"written": written, "before_success": self._before_success.members}

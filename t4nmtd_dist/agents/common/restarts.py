@@ -15,17 +15,16 @@ MOST_FAILURES = 50
 
 
 class Restarts:
-    """Begins attempts in environments, and drops start states that cannot be restored.
+    """Begins attempts, and drops start states that cannot be restored.
 
     Args:
         env: the environments.
-        buffer: the role's start states; those that cannot be restored are removed.
+        buffer: the role's start states.
         draw: draws the given number of starts; empty if there are none.
         rng: seeds the environments.
 
     Attributes:
-        seeded: bool [N]; environments seeded by their first reset.
-        rng: as given.
+        seeded: environments seeded by their first reset, bool [N].
         tell: called with a message about the first start state that cannot be restored.
     """
 
@@ -72,7 +71,7 @@ class Restarts:
                 self.seeded[part] = True
 
     def _restore(self, rows: Rows, starts: list[StartState], places: Rows, observations: Observations) -> bool:
-        """Restore ``rows[places]``, all at once if possible; replaces failing starts in ``starts``.
+        """Restore ``rows[places]``, together if possible; replaces failing starts in ``starts``.
 
         Returns:
             False if there is no replacement.
@@ -108,7 +107,7 @@ class Restarts:
         return True
 
     def _drop(self, start: StartState, error: Exception) -> None:
-        """Remove a start state that cannot be restored; report only the first."""
+        """Remove an unusable start state; report the first."""
         self._failures += 1
         if self._failures >= MOST_FAILURES:
             raise EnvError(

@@ -48,7 +48,7 @@ class RolloutStep:
 
 @dataclass
 class Progress:
-    """News for the coordinator: DFA changes and failed attempts in order, and start states for other roles.
+    """News for the coordinator: DFA changes, failed attempts, and start states, in order.
 
     Attributes:
         starts: (q', snapshot) of states handed over.
@@ -61,18 +61,18 @@ class Progress:
 class Rollout:
     """N environments, each always within an attempt of one role.
 
-    Where the method lets another role continue (``Ending.CHOOSE``), the attempt ends and the environment restarts.
+    On ``Ending.CHOOSE``, the attempt ends and the environment restarts.
 
     Args:
         env: the environments; ``interactions`` counts all their steps, replayed ones included.
-        reader: maps environment labels to DFA symbols.
+        reader: maps labels to DFA symbols.
         method: decides where attempts start and end, and which states are handed over.
         role: name of the acting role.
         buffer: its start states.
         rng: random generator.
 
     Attributes:
-        observations: current observations, float32 [N, d].
+        observations: current, float32 [N, d].
         q: current DFA states, int32 [N].
         statistics: of attempts.
         interactions: environment steps.
@@ -100,7 +100,7 @@ class Rollout:
         self.statistics = AttemptStatistics()
 
     def report_to(self, tell: Callable[[str], None]) -> None:
-        """Pass the message about the first start state that cannot be restored to ``tell``."""
+        """Send the message about the first start state that cannot be restored to ``tell``."""
         self._restarts.tell = tell
 
     def take_progress(self) -> Progress:
@@ -109,13 +109,13 @@ class Rollout:
         return taken
 
     def begin(self) -> bool:
-        """Begin the first attempt of every environment, once; False while there is no start state."""
+        """Begin every environment's first attempt, once; False while there is no start state."""
         if not self._begun:
             self._begun = self._start(np.arange(self._env.count))
         return self._begun
 
     def step(self, actions: NDArray[Any]) -> RolloutStep:
-        """Act in every environment, advance the DFA, and restart where an attempt has ended.
+        """Act in every environment, advance the DFA, and restart ended attempts.
 
         Raises:
             EnvError: if no attempt can begin.
@@ -132,7 +132,7 @@ class Rollout:
         return step
 
     def _transition(self, actions: NDArray[Any]) -> RolloutStep:
-        """<s, q, a> -> <r, s', q'>, and whether the attempt ends."""
+        """Step the environments and the DFA."""
         tables, q = self._role.tables, self.q
         env_step = self._env.step(actions)
         self.interactions += self._env.count
@@ -155,7 +155,7 @@ class Rollout:
         )
 
     def _report_changes(self, step: RolloutStep) -> None:
-        """Report every DFA change and every end of an attempt, for the update of Q."""
+        """Report DFA changes and ends of attempts, for the update of Q."""
         for row in np.flatnonzero(step.changed | step.ended):
             lost = step.terminal[row] and not self._role.tables.terminal[step.q_next[row]]  # a dead end is no progress
             counts = bool(step.changed[row] and not lost)
@@ -175,14 +175,14 @@ class Rollout:
             endings.timeouts += int((failed & ~step.terminal & ~stranded).sum())
 
     def _hand_over(self, step: RolloutStep) -> None:
-        """Snapshot the states from which other roles may start."""
+        """Snapshot the states handed over."""
         handed = np.flatnonzero(self._method.hands_over(self._role.name, self.q, step.q_next) & ~step.terminal)
         if len(handed):
             states = self._env.snapshot(handed)
             self.progress.starts += [(int(step.q_next[row]), s) for row, s in zip(handed, states, strict=True)]
 
     def _start(self, rows: Rows) -> bool:
-        """Begin an attempt in each of these environments; False if there is no start."""
+        """Begin attempts; False if there is no start."""
         before = self._env.replayed
         try:
             starts = self._restarts.begin(rows, self.observations)

@@ -18,10 +18,6 @@ class GreedyActor:
     Samples with epsilon = 0.05, the learner's policy at the default ``epsilon_end``. A softmax over Q would depend on
     the reward scale.
 
-    Args:
-        hidden: widths of the hidden layers.
-        weights: of Q.
-
     Raises:
         PolicyError: if parameters are missing or do not fit.
     """

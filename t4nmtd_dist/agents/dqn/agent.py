@@ -46,9 +46,6 @@ class DQN:
 
     Args:
         networks: Q and Q'; moved to the device.
-        config: settings of DQN.
-        device: where the networks are trained.
-        rng: for exploration.
 
     Attributes:
         updater: performs gradient steps.

@@ -19,11 +19,6 @@ from t4nmtd_dist.agents.dqn.networks import QNetworks
 class DQNUpdate:
     """Performs DQN's gradient steps.
 
-    Args:
-        networks: Q and Q'.
-        config: settings of DQN.
-        device: of the networks.
-
     Attributes:
         loss: Huber loss of the last step, on the device; None before the first.
     """
@@ -77,7 +72,7 @@ class DQNUpdate:
 
 
 def _by_row(answers: PeerValues, rows: int) -> tuple[Tensor, Tensor]:
-    """Peers' values by row, 0 where missing, and where there is one [B]."""
+    """Peers' values by row, 0 where missing, and a mask of them [B]."""
     values, answered = np.zeros(rows, np.float32), np.zeros(rows, np.bool_)
     values[answers.rows], answered[answers.rows] = answers.values, True
     return torch.from_numpy(values), torch.from_numpy(answered)

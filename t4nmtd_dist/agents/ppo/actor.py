@@ -16,10 +16,6 @@ from t4nmtd_dist.agents.weights import Weights
 class CategoricalActor:
     """The most likely action of PPO's categorical policy, or a sample.
 
-    Args:
-        hidden: widths of the hidden layers.
-        weights: of the actor.
-
     Raises:
         PolicyError: if parameters are missing or do not fit.
     """

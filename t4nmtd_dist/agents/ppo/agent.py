@@ -41,12 +41,7 @@ def build(context: AgentContext) -> PPOLearner:
 class PPOLearner:
     """Acts in all attempts of a sub-task and learns from one trajectory at a time.
 
-    Args:
-        context: the sub-task and its environments.
-        config: settings of PPO.
-
     Attributes:
-        network: actor and critic.
         trajectory: the last one.
     """
 
@@ -92,7 +87,7 @@ class PPOLearner:
             self._ask(t, step.changed & ~step.terminal, peers)
 
     def _act(self, states: Tensor) -> tuple[NDArray[np.int64], Floats]:
-        """Actions sampled by the Gumbel trick [N], and their log-probabilities [N]."""
+        """Sampled actions [N] and their log-probabilities [N]."""
         log_probs = torch.log_softmax(self.network.actor(states.to(self._context.device)), -1).cpu().numpy()
         actions = np.argmax(log_probs + self._rng.gumbel(size=log_probs.shape), axis=1)
         return actions, log_probs[np.arange(len(actions)), actions]
@@ -146,7 +141,7 @@ class PPOLearner:
         return values, bootstrap_values(trajectory, values, own[len(flat) :], boundary_values, answers)
 
     def _entropy_coefficient(self) -> float:
-        """Interpolate linearly to the smaller coefficient as the success rate rises."""
+        """Decreases linearly with the success rate."""
         success = self.rollout.statistics.recent_success or 0.0
         low, high = SUCCESSFUL_ENTROPY_COEFFICIENT, self._config.entropy_coefficient
         return high + (low - high) * success

@@ -1,4 +1,4 @@
-"""PPO's losses (Schulman et al., 2017), and advantages with policy intervention (T4NMTD, Algorithm 2, line 12)."""
+"""PPO's losses (Schulman et al., 2017), with policy intervention (T4NMTD, Algorithm 2, line 12)."""
 
 from __future__ import annotations
 
@@ -19,15 +19,14 @@ def bootstrap_values(
 ) -> Floats:
     """Bootstrap value of each step, float32 [T, N].
 
-    Inside an attempt it is V(s_{t+1}). At a cut, s' is not the next row's state: its value is the peer's if the DFA
-    moved to another sub-task's state and the peer answered, else the own critic's. It is 0 in F and E and where the
-    environment terminated.
+    Inside an attempt: V(s_{t+1}). At a cut: the peer's value of s' if the DFA moved to another sub-task's state and the
+    peer answered, else the own critic's. In F, in E and at environment termination: 0.
 
     Args:
         trajectory: T steps of N environments.
         values: V(s_t) [T, N].
         last_values: V of the states after the last step [N].
-        boundary_values: the own critic's values of s' at the non-terminal cuts, in row order [k].
+        boundary_values: the own critic's values of s' at non-terminal cuts, in row order [k].
         answers: peers' values, by rows t * N + n.
     """
     next_values = np.concatenate([values[1:], last_values[None]])

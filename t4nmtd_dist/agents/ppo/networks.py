@@ -19,8 +19,6 @@ class ActorCritic(nn.Module):
 
     Args:
         inputs: length of a product state.
-        actions: number of actions.
-        hidden: widths of each network's hidden layers.
     """
 
     def __init__(self, inputs: int, actions: int, hidden: tuple[int, ...]) -> None:

@@ -29,9 +29,6 @@ class PPOUpdate:
     """Runs PPO's epochs over a trajectory.
 
     Args:
-        network: actor and critic.
-        config: settings of PPO.
-        device: of the network.
         rng: shuffles the rows of an epoch.
 
     Attributes:

@@ -21,7 +21,6 @@ class GaussianActor:
     """Mode or sample of SAC's squashed Gaussian, scaled to the bounds ``low`` and ``high`` among the weights.
 
     Args:
-        hidden: widths of the hidden layers.
         weights: of the actor, with the action bounds.
 
     Raises:

@@ -55,11 +55,6 @@ def modest_alpha(config: LearnerConfig, action_size: int) -> float:
 class SAC:
     """``OffPolicyAgent`` by soft actor-critic.
 
-    Args:
-        context: the sub-task and its environments.
-        config: settings of SAC.
-        rng: for exploration.
-
     Attributes:
         updater: the networks and their gradient step.
     """

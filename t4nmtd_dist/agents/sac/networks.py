@@ -84,7 +84,6 @@ class Stack:
     """n networks of one shape.
 
     Args:
-        shape: their sizes.
         generator: draws initial parameters uniformly within 1 / sqrt(layer inputs), as ``torch.nn.Linear`` does; None
             initialises them to zero.
         dtype: float32; float64 in gradient tests.

@@ -61,9 +61,6 @@ class SACParameters:
     Args:
         state_size: d, the length of a product state.
         action_size: A.
-        settings: learning rates and sizes.
-        seed: for weights and noise.
-        device: of the parameters.
     """
 
     def __init__(

@@ -16,7 +16,6 @@ class StackShape:
     """Sizes of a stack: n networks of one shape with the same inputs.
 
     Attributes:
-        count: n.
         inputs: length of the input.
         hidden: widths of the hidden layers, at least one.
         outputs: outputs of each network.

@@ -19,11 +19,6 @@ class SoftCritic:
     Args:
         state_size: d, the length of a product state.
         action_size: A.
-        settings: sizes of the networks.
-        seed: for initial weights and noise.
-
-    Attributes:
-        generator: draws action noise.
     """
 
     def __init__(self, state_size: int, action_size: int, settings: SACSettings, seed: int) -> None:

@@ -22,7 +22,7 @@ from t4nmtd_dist.agents.sac.updater import Floats, PeerSoftValues, Reals, SACSet
 
 @dataclass(frozen=True)
 class _Given:
-    """A batch on the device: transitions, noise, and peers' answers (1 in ``answered``) [B, ..]."""
+    """A batch on the device, with noise and peers' answers [B, ..]."""
 
     states: Tensor
     actions: Tensor
@@ -55,7 +55,7 @@ class _Last:
 
 
 def _leaf(tensor: Tensor, gradient: Tensor) -> Tensor:
-    """An autograd leaf on the same memory; derivatives accumulate in ``gradient``."""
+    """An autograd leaf on the same memory, with its gradient in ``gradient``."""
     leaf = tensor.detach().requires_grad_()
     leaf.grad = gradient
     return leaf
@@ -74,9 +74,6 @@ class TorchSACUpdater(SACParameters):
     Args:
         state_size: d, the length of a product state.
         action_size: A.
-        settings: learning rates and sizes.
-        seed: for weights and noise.
-        device: where to compute.
     """
 
     def __init__(self, state_size: int, action_size: int, settings: SACSettings, seed: int, device: str) -> None:
@@ -165,13 +162,13 @@ class TorchSACUpdater(SACParameters):
         return critic_target(given.rewards, given.discounts, own, peers, given.answered > 0, alpha)
 
     def _step_critics(self, given: _Given, targets: Tensor) -> Tensor:
-        """Step the critics; returns their errors Q_i - y [2, B]."""
+        """Step the critics; returns Q_i - y [2, B]."""
         errors = self._values(self._trained_critics, given.states, given.actions) - targets
         self._step("critics", critic_loss(errors))
         return errors.detach()
 
     def _step_actor(self, given: _Given, actions: Tensor, log_probs: Tensor, alpha: Tensor) -> Tensor:
-        """Step the actor with constant critics; returns min_i Q_i(s, a) of its actions [B]."""
+        """Step the actor; returns min_i Q_i(s, a) of its actions [B]."""
         values = self._values(self._critics.layers, given.states, actions).amin(0)
         self._step("actor", actor_loss(alpha, log_probs, values))
         return values.detach()

@@ -18,7 +18,6 @@ class FastActing:
     Args:
         actor: stack of one network.
         targets: the target critics.
-        generator: draws action noise.
     """
 
     def __init__(self, actor: Stack, targets: Stack, generator: torch.Generator) -> None:

@@ -58,7 +58,7 @@ def _through_head(weight: Tensor, d_outputs: Tensor, delta: Tensor) -> None:
 
 
 def _through_activation(layer: HiddenLayer, gradient: HiddenLayer, activations: LayerActivations) -> None:
-    """Turn ``delta`` from the derivative w.r.t. the ReLU's output into that w.r.t. the linear part."""
+    """Backpropagate ``delta`` through ReLU and layer norm, in place."""
     _relu_backward(activations.delta, activations.hidden, 0.0, grad_input=activations.delta)
     if layer.gain is None or layer.shift is None or gradient.gain is None or gradient.shift is None:
         return
@@ -103,7 +103,7 @@ def chosen_input_gradient(
 
 
 def _grouped(choice: NDArray[np.integer[Any]], count: int) -> tuple[NDArray[np.int64], Groups]:
-    """An order that sorts rows by network, and each non-empty network's slice of the sorted rows."""
+    """An order that sorts rows by network, and each network's slice of it."""
     order = np.argsort(choice, kind="stable")
     ends = np.bincount(choice, minlength=count).cumsum().tolist()
     spans = zip(range(count), [0, *ends[:-1]], ends, strict=True)

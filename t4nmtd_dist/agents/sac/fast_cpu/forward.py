@@ -36,7 +36,6 @@ class Activations:
     """Buffers for one evaluation of a stack.
 
     Args:
-        shape: the stack's sizes.
         rows: number of inputs.
         dtype: of the stack.
     """
@@ -72,11 +71,7 @@ def _layer_activations(shape: StackShape, rows: int, width: int, dtype: torch.dt
 
 
 class GrowingWorkspace:
-    """Reusable buffers for evaluations of any number of rows; they grow as needed.
-
-    Args:
-        shape: the stack's sizes.
-    """
+    """Reusable buffers for evaluations of any number of rows."""
 
     def __init__(self, shape: StackShape) -> None:
         self._shape, self._largest = shape, Activations(shape, 1)
@@ -99,7 +94,7 @@ class GrowingWorkspace:
 
 
 def _repacked(buffer: Tensor, axis: int, rows: int) -> Tensor:
-    """The first part of a buffer as a contiguous tensor with fewer rows."""
+    """The start of a buffer as a contiguous tensor with fewer rows."""
     size = [rows if number == axis else length for number, length in enumerate(buffer.shape)]
     return buffer.view(-1)[: math.prod(size)].view(size)
 

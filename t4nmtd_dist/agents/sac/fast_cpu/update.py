@@ -22,7 +22,7 @@ from t4nmtd_dist.agents.sac.updater import Floats, PeerSoftValues, Reals, SACSet
 
 
 class _Workspace:
-    """Buffers for updates with one batch size; names ending in ``array`` are numpy views of tensors.
+    """Buffers for one batch size; names ending in ``array`` are numpy views of tensors.
 
     ``inputs`` [2 B, d + A] holds <s, a> above <s', a'>; the first d columns are the actor's inputs.
     """
@@ -47,8 +47,6 @@ class SACUpdater(SACParameters):
     Args:
         state_size: d, the length of a product state.
         action_size: A.
-        settings: learning rates and sizes.
-        seed: for weights and noise.
     """
 
     def __init__(self, state_size: int, action_size: int, settings: SACSettings, seed: int) -> None:
@@ -145,7 +143,7 @@ class SACUpdater(SACParameters):
         return errors
 
     def _step_actor(self, workspace: _Workspace, sample: SquashedSample, alpha: float) -> Reals:
-        """Descend ``losses.actor_loss``; returns min_i Q_i(s, a) of the actor's actions [B]."""
+        """Descend ``losses.actor_loss``; returns min_i Q_i(s, a) [B]."""
         rows, layers = workspace.rows, self._critics.layers
         workspace.current_array[:, self._state_size :] = sample.actions.T
         evaluate(layers, workspace.current, workspace.critics)
