@@ -5,8 +5,8 @@ Importing this package registers them, so either of these makes an environment::
     import envs; gymnasium.make("t4nmtd/FrozenLake-v0", goals=1)
     gymnasium.make_vec("envs:t4nmtd/FrozenLake-v0", num_envs=64, goals=1)
 
-Since version 1.0, Gymnasium loads no plugin entry points, so an id without ``envs:`` needs the import.
-``envs.protocol`` defines the contract of every environment.
+Gymnasium 1.0 and later load no plugin entry points, so an id without ``envs:`` needs the import. The contract is in
+``envs.protocol``.
 """
 
 from __future__ import annotations

@@ -24,7 +24,7 @@ def checked_action(space: spaces.Discrete, action: object) -> int:
         action: an int, a numpy integer or an integer array of shape ().
 
     Raises:
-        ValueError: if ``action`` has another type or is not in ``space``; names space and value.
+        ValueError: if ``action`` has another type or is not in ``space``.
     """
     array = np.asarray(action)
     if array.shape != () or array.dtype.kind not in "iu" or not 0 <= int(array) < space.n:
@@ -41,7 +41,7 @@ def checked_actions(space: spaces.Discrete, actions: ArrayLike, num_envs: int) -
         num_envs: N.
 
     Raises:
-        ValueError: if the shape or type is wrong or an action is not in ``space``; names space and value.
+        ValueError: if the shape or type is wrong or an action is not in ``space``.
     """
     array = np.asarray(actions)
     if array.shape != (num_envs,) or array.dtype.kind not in "iu":
@@ -71,7 +71,7 @@ def checked_box_actions(
         shape: the required shape.
 
     Raises:
-        ValueError: if the type or shape is wrong, or a number is NaN or out of bounds; names space and value.
+        ValueError: if the type or shape is wrong, or a number is NaN or out of bounds.
     """
     array = np.asarray(actions)
     if array.shape != shape or array.dtype.kind not in "fiu":
@@ -94,7 +94,7 @@ def batch_of_one_action(space: spaces.Space[Any], action: object) -> NDArray[Any
         action: one action.
 
     Raises:
-        ValueError: if the type or shape is wrong, or the action is not in ``space``; names space and value.
+        ValueError: if the type or shape is wrong, or the action is not in ``space``.
     """
     if isinstance(space, spaces.Discrete):
         return np.array([checked_action(space, action)])

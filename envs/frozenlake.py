@@ -89,14 +89,13 @@ class FrozenLakeEnv(BatchOfOne):
 
     Labels: ``p1``, ``p2``, ``p3`` while carrying that passenger; ``g`` (or ``g1``, ``g2``) on the goal.
 
-    Termination: entering a hole; with one goal also any move made on the goal cell. A terminated lake does not change,
-    and ``terminated`` stays true, until it is reset or restored.
+    Termination: entering a hole; with one goal also any move made on the goal cell. A terminated lake stays so,
+    unchanged, until it is reset or restored.
 
-    Observation ``"features"``, 83 numbers in [-1, 1]: a one-hot of the agent's 64 cells, so that a small network learns
-    each cell's action without smoothing over holes; a one-hot of the hands (nobody, 1, 2, 3); and for each passenger
-    its row and column (-1 to 1), its offset from the agent in rows and columns (by 7), and 1 if it lies on the agent's
-    cell and can be picked. A carried passenger has the agent's position, offset 0, and cannot be picked. States with
-    different futures have different observations.
+    Observation ``"features"``, 83 numbers in [-1, 1]: one-hots of the agent's 64 cells (so that a small network does
+    not smooth over holes) and of the hands (nobody, 1, 2, 3); per passenger its row and column (-1 to 1), its offset
+    from the agent in rows and columns (by 7), and 1 if it can be picked. A carried passenger has the agent's position,
+    offset 0, and cannot be picked. States with different futures have different observations.
 
     Observation ``"raw"``, the authors' 8 numbers: cell, carrying (0..3), and (row, column) of each passenger, (-1, -1)
     while carried.

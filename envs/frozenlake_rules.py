@@ -1,11 +1,10 @@
 """Rules of FrozenLake with passengers (tasks 7 and 8), as look-up tables and functions on states.
 
-Gymnasium's FrozenLake, 8x8 and not slippery, with passengers that can be picked up and put down, as in the authors'
-experiments (AAAI 2026).
+Gymnasium's FrozenLake, 8x8 and not slippery, with passengers to pick up and put down, as in the authors' experiments
+(AAAI 2026).
 
-A state, and so a snapshot, is a row of 7 integers: goals, cell, ended, carrying, and the cell of each passenger.
-``goals`` (1 or 2) selects the map, ``ended`` is 1 after termination, ``carrying`` is a passenger's number or 0, a cell
-is 8*row + column, and the carried passenger's cell is -1.
+A state, and so a snapshot, is a row of 7 integers: goals (1 or 2, selects the map), cell (8*row + column), ended (1
+after termination), carrying (a passenger's number or 0), and the cell of each passenger (-1 if carried).
 """
 
 from __future__ import annotations
@@ -48,6 +47,7 @@ class Lake:
     """The rules of one map as look-up tables; an *agent index* is 4*cell + carrying.
 
     Attributes:
+        propositions: names of the label columns.
         tiles: the map as one string of 64 symbols.
         start: int64 array of shape (7,), the state after a reset.
         cell_after: flat table of the next cell, indexed by (64*ended + cell)*6 + action.

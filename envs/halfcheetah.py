@@ -38,11 +38,11 @@ class HalfCheetahEnv(gymnasium.Env[NDArray[Any], Any]):
     Action: six torques in [-1, 1], of the back thigh, shin and foot and the front ones, for 0.05 s.
 
     Labels: ``h1`` to ``h5`` if x is closer than 0.3 to -8, -4, 0, 4, 8 *after* the step. The environment never
-    terminates, even if the cheetah falls.
+    terminates.
 
-    Observation ``"features"``, 24 numbers clipped to [-1, 1]: x (by 10), z, sine of the pitch (which is unbounded), six
-    joint angles (by 1.25); nine velocities (by 10 m/s, 6 m/s, 12 rad/s, and 30 rad/s for joints); cosine of the pitch;
-    and the offset to each marker (by 4, their distance, for high resolution near the adjacent markers).
+    Observation ``"features"``, 24 numbers clipped to [-1, 1]: x (by 10), z, sine of the pitch, six joint angles (by
+    1.25); nine velocities (by 10 m/s, 6 m/s, 12 rad/s, and 30 rad/s for joints); cosine of the pitch; and the offset to
+    each marker (by 4, their distance).
 
     Observation ``"raw"``, the authors' 18 numbers: nine positions including x, nine velocities.
     """

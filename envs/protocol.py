@@ -1,12 +1,10 @@
 """The contract of every environment beyond Gymnasium.
 
-Labels. ``propositions`` names an environment's propositions. After every step and at reset, ``info["labels"]`` holds
-those that are true *after* the step. The environment knows nothing about automata and its reward is 0; the product with
-the DFA provides the task's reward.
+Labels. After every step and at reset, ``info["labels"]`` holds the ``propositions`` that are true *after* the step.
+Environments know nothing about automata and their reward is 0; the product with the DFA provides the reward.
 
-Snapshots. ``get_state`` returns everything that determines the future as one flat array. ``set_state`` restores it
-exactly: the same actions then give bit-identical observations, labels and snapshots. Environments, and hence snapshots,
-have no step counter.
+Snapshots. ``get_state`` returns everything that determines the future as one flat array. After ``set_state``, the same
+actions give bit-identical observations, labels and snapshots. Environments have no step counter.
 
 Intended loop of a batched environment::
 
@@ -55,14 +53,16 @@ class SnapshotVectorEnv(Protocol):
     """A batch of N environments that is also a ``gymnasium.vector.VectorEnv`` with autoreset disabled.
 
     - ``step(actions[N])`` returns observations float32 [N, d], rewards of zero [N], terminated bool [N], truncated all
-      false [N], and ``info["labels"]``, bool [N, P] with columns in the order of ``propositions``. All returned arrays
-      are new.
-    - ``reset(seed=, options={"reset_mask": bool [N]})`` resets the rows of the mask, by default all rows, and returns
+      false [N], and ``info["labels"]``, bool [N, P] with columns in the order of ``propositions``. All arrays are new.
+    - ``reset(seed=, options={"reset_mask": bool [N]})`` resets the masked rows, by default all, and returns
       observations and labels of all N rows.
-    - A terminated row does not change, and keeps reporting ``terminated``, until it is reset or restored.
+    - A terminated row stays so, unchanged, until it is reset or restored.
 
-    An environment with random generators besides Gymnasium's ``np_random`` lists them as ``generators``, so that a
-    resumed training has exactly the same randomness.
+    Random generators besides Gymnasium's ``np_random`` are listed as ``generators``, so that resumed trainings have
+    exactly the same randomness.
+
+    Attributes:
+        propositions: names of the label columns.
     """
 
     propositions: tuple[str, ...]

@@ -30,15 +30,15 @@ from envs.racecar_track import START, TARGETS, Walls
 class RacecarEnv(gymnasium.Env[NDArray[Any], Any]):
     """One car; id ``t4nmtd/Racecar-v0``, contract in ``envs.protocol.SnapshotEnv``.
 
-    Action: forces in [-1, 1]^2 on a mass of 1 for 0.1 time units, without friction; speed is clipped to 0.5 per axis. A
-    move that hits a wall (the outer square or the central obstacle) returns the car to the start, at rest.
+    Action: forces in [-1, 1]^2 on a mass of 1 for 0.1 time units, without friction; speed is clipped to 0.5 per axis.
+    Hitting a wall (outer square or central obstacle) returns the car to the start, at rest.
 
     Labels: ``g1`` to ``g4`` if the car was in that target *before* the step's move; ``wall`` if the previous step hit a
-    wall. At reset, those that the first step reports, hence none. The environment never terminates.
+    wall. At reset none. The environment never terminates.
 
     Observation ``"features"``, 23 numbers in [-1, 1]: position (by 1.5), velocity (by 0.5); clearance from the outer
-    square and from the obstacle's circle (by 1.5 and 2); 1 if the next step will report ``wall``; and for each target
-    its offset from the car (by 2.25), its distance (by 3.2), and 1 if the next step will report it.
+    square and the obstacle's circle (by 1.5 and 2); 1 if the next step will report ``wall``; per target its offset from
+    the car (by 2.25), its distance (by 3.2), and 1 if the next step will report it.
 
     Observation ``"raw"``, the authors' 9 numbers: x, y, vx, vy, the four target distances before the move (0 at reset),
     and 1 if the step reported ``wall``.

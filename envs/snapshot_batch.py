@@ -63,11 +63,11 @@ class SnapshotBatch(VectorEnv[NDArray[np.float32], NDArray[Any], NDArray[Any]], 
         """Reset rows to the start.
 
         Args:
-            seed: row i, if it is reset, gets seed + i.
-            options: ``{"reset_mask": bool [N]}`` resets only the rows where it is true.
+            seed: row i gets seed + i.
+            options: ``{"reset_mask": bool [N]}`` selects the rows to reset.
 
         Returns:
-            Observations [N, d] and ``{"labels": bool [N, P]}`` of all rows, reset or not.
+            Observations [N, d] and ``{"labels": bool [N, P]}`` of all rows.
 
         Raises:
             ValueError: if the mask is not a bool array of shape (N,), or all false.
@@ -82,7 +82,7 @@ class SnapshotBatch(VectorEnv[NDArray[np.float32], NDArray[Any], NDArray[Any]], 
         """Take one action in every row.
 
         Args:
-            actions: of shape (N,) or (N, A), all within the action space.
+            actions: of shape (N,) or (N, A).
 
         Returns:
             Observations float32 [N, d], rewards float64 [N] of zero, terminated bool [N], truncated bool [N] of false,

@@ -27,9 +27,9 @@ from envs.waterworld_rules import (
 
 
 class WaterworldVectorEnv(SnapshotBatch):
-    """N ponds as described in ``WaterworldEnv``; none ever terminates.
+    """N ponds as described in ``WaterworldEnv``.
 
-    With ``map="random"``, row i reset with seed s draws the same maps as a single environment reset with s + i.
+    With ``map="random"``, row i reset with seed s has the maps of a single environment reset with s + i.
     """
 
     metadata = {**SnapshotBatch.metadata, "render_fps": 10}  # noqa: RUF012 - gymnasium's own convention
@@ -104,25 +104,24 @@ class WaterworldVectorEnv(SnapshotBatch):
 class WaterworldEnv(BatchOfOne):
     """One pond of balls; id ``t4nmtd/Waterworld-v0``, contract in ``envs.protocol.SnapshotEnv``.
 
-    The agent and three balls of each colour move in a field of 30 by 30; balls move in straight lines and bounce off
-    walls. Nothing collides. pymunk computes motion and touches.
+    The agent and three balls of each colour move in a field of 30 by 30; balls move straight and bounce off walls.
+    Nothing collides. pymunk computes motion and touches.
 
-    Action: a velocity in [-3.5, 3.5]^2, which takes effect in the *next* step.
+    Action: a velocity in [-3.5, 3.5]^2, effective in the *next* step.
 
-    Labels: the colours of the balls that touched the agent *before* the step's move. At reset, and in a rendering after
+    Labels: the colours of the balls that touched the agent *before* the step's move. At reset, and when rendering after
     ``set_state``, those touched there, which the first step reports again. The environment never terminates.
 
     Observation ``"features"``: 144 numbers in [-1, 1] for 6 colours, 190 for 8.
 
     - agent: position (-1 to 1), velocity (by 3.5), and per axis 1 if a wall makes the coming step ignore its command;
-    - for each colour 1 if the coming step will report it; then for each colour 1 if the step after it will: the agent
-      can no longer influence either;
-    - for each ball, by colour in the order of ``propositions`` and nearest first: 1 if some command can touch it, and
-      then the command (by 4.5) that would put the agent's centre on the ball's two moves from now, the first position
-      the present command can reach (0 on an axis whose command is ignored), else 0, 0; the current offset from the
-      agent to the ball (by 240); and the ball's velocity (by 8 times its top speed). A command touches the ball if it
-      is off by at most 1 per axis. The last four numbers are small so that the many distant balls do not drown the few
-      within reach.
+    - per colour 1 if the coming step will report it; then per colour 1 if the step after it will: the agent can no
+      longer influence either;
+    - per ball, by colour in the order of ``propositions`` and nearest first: 1 if some command can touch it, and then
+      the command (by 4.5) that would put the agent's centre on the ball's two moves from now, the first position the
+      present command can reach (0 on an axis whose command is ignored), else 0, 0; the current offset from the agent
+      (by 240); and the ball's velocity (by 8 times its top speed). A command touches the ball if it is off by at most 1
+      per axis. The last four numbers are small so that distant balls do not drown the few within reach.
 
     Observation ``"raw"``, the authors' 76 or 100 numbers: x, y, vx, vy of each ball, then of the agent.
     """

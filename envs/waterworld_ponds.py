@@ -24,12 +24,12 @@ _NO_CATEGORY = 0  # matched by no query
 class Pond:
     """Up to ``COPIES_PER_SPACE`` copies of Waterworld as kinematic bodies of one pymunk space.
 
-    The copies overlap without interaction: nothing collides, and each copy's balls have their own category, which its
-    query selects. A shared space makes bulk reads worthwhile.
+    The copies overlap without interaction: nothing collides, and each copy's query selects its own balls by category. A
+    shared space makes bulk reads worthwhile.
 
     Attributes:
-        states: array of shape (4, copies, balls + 1), a view of the batch: x, y, vx, vy of the bodies after the last
-            ``move``, or for the next ``write``.
+        states: x, y, vx, vy of the bodies after the last ``move``, or for the next ``write``: array of shape (4,
+            copies, balls + 1), a view of the batch.
     """
 
     def __init__(self, states: NDArray[np.float64]) -> None:

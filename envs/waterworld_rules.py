@@ -1,11 +1,10 @@
-"""Rules of Waterworld (tasks 1 and 2) on arrays of states: walls, commands, observations and valid snapshots.
+"""Rules of Waterworld (tasks 1 and 2) on arrays of states: walls, commands, observations and snapshots.
 
-pymunk handles motion and touches, in ``envs.waterworld_ponds``.
+``envs.waterworld_ponds`` handles motion and touches.
 
-The states of N copies are an array of shape (4, N, balls + 1): planes x, y, vx, vy of the balls in colour order, then
-of the agent. (Planes, because numpy is fast along long axes.) A snapshot is a flat float64 row: x, y, vx, vy of each
-ball and then of the agent, 76 numbers for 18 balls, 100 for 24. Lengths are in units of a field of 30 by 30, velocities
-in units per step.
+The states of N copies are an array of shape (4, N, balls + 1): planes x, y, vx, vy (numpy is fast along long axes) of
+the balls in colour order, then of the agent. A snapshot is a flat float64 row: x, y, vx, vy of each ball, then of the
+agent, 76 numbers for 18 balls, 100 for 24. The field is 30 by 30; velocities are per step.
 """
 
 from __future__ import annotations
@@ -69,15 +68,15 @@ def reflect(states: NDArray[np.float64]) -> NDArray[np.bool_]:
 def finish_move(states: NDArray[np.float64], commands: NDArray[np.float64]) -> NDArray[np.bool_]:
     """Complete a step after everything has moved by its velocity, in place.
 
-    Quirk: the command becomes the velocity of the *next* step. On an axis on which the agent has reached a wall, the
-    command is ignored and the reversed velocity kept.
+    Quirk: the command becomes the velocity of the *next* step. On an axis where the agent reached a wall, it is ignored
+    and the reversed velocity kept.
 
     Args:
         states: array of shape (4, N, balls + 1).
         commands: array of shape (N, 2), within +-3.5.
 
     Returns:
-        Bool array of shape (N, balls + 1): which bodies reached a wall.
+        Bool array of shape (N, balls + 1): bodies that reached a wall.
     """
     turned = reflect(states)
     agent = states[2:, :, AGENT]

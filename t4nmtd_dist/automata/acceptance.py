@@ -59,9 +59,9 @@ def task_automaton(
 def with_last(dfa: DFA) -> DFA:
     """An automaton that accepts on the step with ``last`` if ``dfa`` accepts the trace up to it.
 
-    Otherwise that step leads to an error state, as irreparable violations already do. States of ``dfa`` stay separate
-    even if ``last`` makes them equivalent, because sub-tasks aim at the states in which the formula holds. Only an
-    initial state without incoming transitions is removed, if another state has the same future.
+    Otherwise that step leads to an error state, as irreparable violations already do. States stay separate even if
+    ``last`` makes them equivalent, because sub-tasks aim at states in which the formula holds. Only an initial state
+    without incoming transitions is removed, if another has the same future.
 
     Raises:
         FormulaError: if adding ``last`` exceeds the maximum number of propositions.

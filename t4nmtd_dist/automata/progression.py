@@ -1,10 +1,9 @@
 """LTLf to automaton in pure Python: formula progression on binary decision diagrams.
 
 A state is a Boolean function of *obligations* "there is a next position and psi holds there". A formula unfolds into a
-Boolean function of current propositions and obligations: phi U psi = psi | (phi & X(phi U psi)). A diagram that tests
-propositions first contains all successors of a state: the sub-diagrams below the propositions, one per distinct
-residual instead of one per symbol. Equal functions are one diagram and a formula has finitely many obligations, so the
-search terminates.
+Boolean function of current propositions and obligations: phi U psi = psi | (phi & X(phi U psi)). Diagrams test
+propositions first, so a state's successors are the sub-diagrams below the propositions: one per distinct residual, not
+per symbol. Equal functions are one diagram and a formula has finitely many obligations, so the search terminates.
 """
 
 from __future__ import annotations

@@ -1,9 +1,9 @@
 """Simple paths (no repeated state) of a small directed graph: edges on them, and their lengths.
 
-Whether an edge lies on a simple path is a vertex-disjoint paths problem, NP-hard in general. Task automata are small
-and mostly acyclic, so an exact search is fast: a simple path crosses a strongly connected component in one piece, so an
-edge between components only needs reachability, and only edges inside one need a search within it. A branch is cut as
-soon as either end of the path is blocked, and a dead end (position and free vertices) is never entered twice.
+Deciding whether an edge lies on a simple path is NP-hard in general, but task automata are small and mostly acyclic, so
+an exact search is fast. A simple path crosses a strongly connected component in one piece, so edges between components
+only need reachability and edges inside one a search within it. A branch is cut as soon as either end of the path is
+blocked, and a dead end (position and free vertices) is never entered twice.
 
 Sets of vertices are bit masks: bit v stands for vertex v.
 """

@@ -32,12 +32,12 @@ def translate(
         formula: LTLf in LTLf2DFA's syntax (see ``t4nmtd_dist.automata.formula``).
         propositions: allowed names; None allows any. The DFA has those that occur, sorted.
         translator: ``mona``, ``python``, or ``auto``: MONA if installed, else Python.
-        time_limit: timeout in seconds, not counting parsing.
+        time_limit: timeout in seconds, without parsing.
         deadline: replaces ``time_limit`` within a compilation.
 
     Raises:
-        FormulaError: on a syntax error, an unknown proposition, more than 16 propositions, or a formula that no trace
-            or every trace satisfies.
+        FormulaError: on a syntax error, an unknown proposition, over 16 propositions, or an unsatisfiable or valid
+            formula.
         TranslationError: if a requested MONA is missing, or a time or size limit is exceeded.
         ConfigError: on an unknown translator or a non-positive time limit.
     """

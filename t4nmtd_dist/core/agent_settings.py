@@ -2,10 +2,10 @@
 
 Such a module defines
 - ``CONFIG``: a frozen dataclass, the section ``[<name>]`` of a task file;
-- ``ACTIONS``: supported action spaces, ``"discrete"`` or ``"continuous"``;
+- ``ACTIONS``: supported actions, ``"discrete"`` or ``"continuous"``;
 - ``EXPLORATION`` (optional): settings to raise for more exploration, as ``section.key``;
 - ``LEARNER_DEFAULTS`` (optional): defaults for keys of ``[learner]``;
-- ``FORMER_KEYS`` (optional): keys of earlier versions and their replacements;
+- ``FORMER_KEYS`` (optional): former keys and their replacements;
 - ``check(config, learner)`` (optional): conditions on several settings; raises ConfigError.
 
 It imports no torch, since reading any task file imports it.

@@ -40,9 +40,9 @@ class EnvironmentConfig:
         horizon: steps per episode.
         options: keyword arguments of the constructor or callable.
         labels: labelling function, ``module:function``; empty if the environment reports ``info["labels"]``.
-        path: additional module search folders, one or a list, relative to the task file. ``load_task`` makes them
-            absolute and puts the task file's folder first.
-        snapshots: how states are saved and restored; ``auto`` tries the others in order and verifies each.
+        path: module search folders, one or a list, relative to the task file. ``load_task`` makes them absolute and
+            adds the task file's folder in front.
+        snapshots: how states are saved and restored; ``auto`` takes the first of the others that passes verification.
         snapshot_bytes: snapshot size, 0 for the measured one; ``replay`` takes what the horizon needs.
         leave_out: keys of a Dict observation to ignore, such as texts.
     """
@@ -98,24 +98,24 @@ class LearnerConfig:
 
     Attributes:
         method: a name in ``core.registry.METHODS``: ``t4nmtd``, or ``random``, which assigns the same transitions to as
-            many sub-tasks by the run's seed (experiment 2).
+            many sub-tasks at random (experiment 2).
         algorithm: an agent, such as ``ppo`` (discrete actions) or ``sac`` (continuous actions); ``auto`` chooses by the
             action space.
         gamma: discount per step, also used in the shaped reward.
         shaping: ``potential`` (potential difference on every step), ``paper`` (only at targets), ``subtask`` (10 for a
             target, 100 for acceptance); measured in docs/decisions/006 and 014.
-        error_penalty: subtracted from the reward of a step into an error state, with any shaping.
+        error_penalty: subtracted from the reward of a step into an error state.
         reward_scale: reward factor for the critics.
         intervention: source of a peer's value (docs/decisions/013): ``query`` asks its process, ``replica`` evaluates a
-            copy of its networks; both evaluate peers in the learner's own process directly. ``local`` does only the
-            latter and uses the own critic otherwise; ``off`` always uses the own critic.
+            copy of its networks; both evaluate peers in this process directly. ``local`` does only the latter and
+            otherwise uses the own critic; ``off`` always does.
         attempt_steps: maximum length of an attempt (a truncation: the critic bootstraps).
         hand_over: which states become start states of the next sub-task: those at a ``target``, as in the paper, or at
-            any DFA change, so that critics are trained on every state they are queried about.
-        hidden: widths of the hidden layers of actor and critic, at least one.
+            any DFA change, so that critics are trained on all states they are queried about.
+        hidden: hidden layer widths of actor and critic, at least one.
         normalise_observations: normalise observations to mean 0 and variance 1 by each learner's statistics
-            (docs/decisions/020); ``auto``: unless the environment comes with the package. An unresolved ``auto``
-            (``environments.decisions``) counts as ``off``.
+            (docs/decisions/020); ``auto``: unless the environment comes with the package. Unresolved
+            (``environments.decisions``), ``auto`` counts as ``off``.
     """
 
     method: str = "t4nmtd"

@@ -35,11 +35,13 @@ class AttributeSnapshots:
     """Snapshots of the attributes of an environment and its wrappers.
 
     A snapshot holds the observation and the attributes that differ from a fresh environment after ``reset(seed=0)``, so
-    constant tables cost nothing. It adds state kept elsewhere: the array of the environment's ``get_state`` (then only
-    the wrappers around that layer are read), or MuJoCo's integration state.
+    constant tables cost nothing. It adds the array of the environment's ``get_state`` (then only the wrappers around
+    that layer are read), or MuJoCo's integration state.
 
     Args:
+        env: the environment.
         adapter: "own", "mujoco" or "attributes".
+        flattener: of its observations.
         snapshot_bytes: size of a snapshot; 0 for no padding.
     """
 

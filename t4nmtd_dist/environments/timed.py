@@ -54,11 +54,12 @@ def check_last_is_free(propositions: Sequence[str]) -> None:
 class TimedEnv:
     """An environment that counts the steps of every episode.
 
-    Observations have one more entry, the remaining share of the horizon. The additional proposition ``last`` is true on
-    the last step of an episode: at the horizon, or when the environment terminates or truncates. Snapshots carry the
-    time: uint8 arrays of the time, the dtype of the environment's own snapshot, and its bytes.
+    Observations gain the remaining share of the horizon. The proposition ``last`` is true on the last step of an
+    episode: at the horizon, or when the environment terminates or truncates. Snapshots are uint8 arrays of the time,
+    the dtype of the environment's own snapshot, and its bytes.
 
     Args:
+        env: the environments.
         horizon: steps per episode.
 
     Raises:

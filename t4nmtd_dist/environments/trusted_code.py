@@ -1,8 +1,8 @@
 """Remembers the code that this user has run on this machine, one file per section ``[environment]``.
 
-The files are in ``$XDG_STATE_HOME/t4nmtd/trusted``, by default ``~/.local/state/t4nmtd/trusted``. A file is named by a
-digest of everything in the section that names code and of the owners of the module folders. It does not cover the
-modules' content, so users can edit their own environment without being asked again.
+The files are in ``$XDG_STATE_HOME/t4nmtd/trusted``, by default ``~/.local/state/t4nmtd/trusted``, named by a digest of
+everything in the section that names code and of the module folders' owners. The digest excludes the modules' content,
+so users can edit their environment without being asked again.
 """
 
 from __future__ import annotations

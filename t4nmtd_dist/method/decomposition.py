@@ -112,16 +112,16 @@ def decompose(
 ) -> Decomposition:
     """Assign the transitions of a task automaton to sub-tasks.
 
-    Every mode starts from the same transitions: those that some symbol allowed by ``exclusive`` takes, without
-    self-loops, transitions out of F and transitions into E. ``prune`` drops those on no simple path from q0 to F,
-    unless they make a formula true again whose trace ends with the episode
-    (``automata.acceptance.unfulfilled_states``). The modes assign them as follows:
+    Every mode starts from the transitions taken by symbols that ``exclusive`` allows, without self-loops, transitions
+    out of F and transitions into E. ``prune`` drops those on no simple path from q0 to F, unless they make a formula
+    true again whose trace ends with the episode (``automata.acceptance.unfulfilled_states``). The modes assign them as
+    follows:
 
-    - ``objective``: by the literals of the guard's prime implicants that do not already hold while waiting in q; of
-      each implicant the positive ones, or the negative ones if it has no positive ones. ``keep="helpful"`` then drops
-      sub-tasks that never reduce the distance to acceptance (only with ``prune``) and merges equal ones: ``a&b``.
+    - ``objective``: by the literals of the guard's prime implicants that do not hold while waiting in q; of each
+      implicant the positive ones, or else the negative ones. ``keep="helpful"`` then drops sub-tasks that never reduce
+      the distance to acceptance (only with ``prune``) and merges equal ones: ``a&b``.
     - ``literal``: by every literal of the label as :attr:`DFA.edges` writes it, the paper's wording at face value.
-    - ``random``: to as many sub-tasks ``r1`` .. ``rn`` as ``objective`` finds, with sizes equal to within one; each
+    - ``random``: to as many sub-tasks ``r1`` .. ``rn`` as ``objective`` finds, equally sized to within one; each
       transition belongs to as many of them as there.
 
     Args:
@@ -129,7 +129,7 @@ def decompose(
         exclusive: groups of propositions that never hold together.
         mode: how labels become sub-tasks.
         prune: drop transitions on no simple path to acceptance.
-        keep: ``all`` is the paper's rule; the task setting defaults to ``helpful``.
+        keep: ``all`` is the paper's rule; tasks default to ``helpful``.
         order: order of names in merged sub-tasks.
         seed: for the random decomposition only.
         deadline: of the compilation.

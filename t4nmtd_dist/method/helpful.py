@@ -25,9 +25,8 @@ def without_useless(
     """Drop sub-tasks whose literal never reduces the distance to acceptance.
 
     Distances count only the transitions of ``subtasks``. A literal helps with a transition (q, q') if q' is nearer to
-    acceptance than q and some symbol that takes the transition would, without the literal, lead to a state farther than
-    q'. A sub-task that helps with no transition is dropped, unless a state would lose its last transition towards
-    acceptance.
+    acceptance than q and, without the literal, some symbol of the transition would lead farther away than q'. A
+    sub-task that helps with no transition is dropped, unless a state would lose its last transition towards acceptance.
 
     Args:
         subtasks: pid -> its transitions, assigned by objectives.

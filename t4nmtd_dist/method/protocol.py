@@ -70,7 +70,7 @@ class Reading:
 class Method(Protocol):
     """The rules of one method for one compiled task.
 
-    Coordinator, learners and evaluator hold one object each, and each runs its part of this loop::
+    Coordinator, learners and evaluator each run their part of this loop on their own object::
 
         starts = method.starts(role, buffer, n, rng)                    # learner: act
         while True:
@@ -89,7 +89,7 @@ class Method(Protocol):
 
         roles = method.choose(q)                                        # evaluator: who acts
 
-    Roles are named as in the task's ``Decomposition``; a role's targets are its transitions there.
+    Roles are named as in the task's ``Decomposition``; their targets are their transitions there.
     """
 
     def role(self, name: str) -> Role:

@@ -60,9 +60,9 @@ class SubtaskTables:
         available: bool [Q]; the sub-task has a transition out of q.
         accepting: bool [Q], F.
         error: bool [Q], E.
-        reward: float64 [Q, Q], the shaped reward of a step from q to q', self-loops included.
-        carried_potential: float64 [Q], the part of a step's reward that stems from the potential of q'. It is
-            subtracted when the environment terminates, since no later step pays it back.
+        reward: float64 [Q, Q], shaped reward of a step from q to q', self-loops included.
+        carried_potential: float64 [Q], the part of the reward from the potential of q'. It is subtracted at environment
+            termination, since no later step pays it back.
     """
 
     target: NDArray[np.bool_]

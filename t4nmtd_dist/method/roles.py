@@ -18,8 +18,8 @@ class Role:
     """One policy of a method: a sub-task in T4NMTD, a DFA state or an edge in others.
 
     Attributes:
-        name: its name in the decomposition, used by leases, files and messages.
-        tables: its targets, and the reward of every DFA change.
+        name: its name in the decomposition, leases, files and messages.
+        tables: its targets and rewards.
         reset_q: the initial DFA state if the role is available there, so that attempts can start at the environment's
             reset; else None.
         attempt_steps: maximum length of an attempt; a truncation, not a terminal.

@@ -59,11 +59,9 @@ class GlobalPolicy:
         task: settings, automaton, sub-tasks and potentials.
         q_table: known entries of Q(q, T).
         actors: parameters by pid, named ``actor.*`` (others are ignored).
-        mode: default action mode of ``act``: ``greedy`` (most likely actions) or ``sampled``.
+        mode: default action mode of ``act``, ``greedy`` (most likely actions) or ``sampled``; that of the best
+            evaluation in an exported policy.
         seed: for sampled actions; None for a random one.
-
-    Attributes:
-        mode: as above; for an exported policy, the mode with the best evaluation.
 
     Raises:
         PolicyError: if the actors' parameters are missing or do not fit, or the mode is unknown.
@@ -158,11 +156,11 @@ class GlobalPolicy:
     ) -> Any:
         """The action at an observation, after reading its labels: a number, or an array [A].
 
-        The labels of the first observation after ``reset`` are ignored: a trace begins with the first step.
+        The first labels after ``reset`` are ignored: a trace begins with the first step.
 
         Args:
-            observation: raw numbers of a Box of any shape. One-hot and Dict observations must first pass through
-                ``environments.observations.flattener``.
+            observation: numbers of a Box of any shape; pass one-hot and Dict observations through
+                ``environments.observations.flattener`` first.
             labels: names of the true propositions.
             actions: ``greedy`` or ``sampled``; None for the policy's own mode.
             rng: for sampled actions; None for the policy's own generator.

@@ -21,12 +21,14 @@ class AgentContext:
     """Sub-task, environments and settings of one learner.
 
     Attributes:
-        task: the compiled task: settings, DFA and all sub-tasks.
+        pid: the sub-task.
+        task: the compiled task.
         rollout: N environments in which the learner attempts the sub-task.
-        method: the learner's copy of the method; the coordinator updates its high level.
+        action_space: of the environment.
+        method: the learner's copy; the coordinator updates its high level.
         seed: for networks and sampling.
-        device: device of the networks in training; the rollout and answers to peers stay on the CPU.
-        normalised: which entries of an observation are normalised, bool [d].
+        device: of the trained networks; the rollout and answers to peers stay on the CPU.
+        normalised: which observation entries are normalised, bool [d].
     """
 
     pid: str

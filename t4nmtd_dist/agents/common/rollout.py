@@ -28,8 +28,8 @@ class RolloutStep:
         next_observations: float32 [N, d], before any restart.
         q_next: int32 [N], before any restart.
         changed: the DFA state changed.
-        terminal: q' is in F or E, or the environment terminated: the value of s' is 0.
-        ended: the attempt is over; the environment has begun another.
+        terminal: F, E, or the environment terminated: the value of s' is 0.
+        ended: the attempt ended; the environment has begun another.
         symbols: symbols read by the DFA, int64 [N].
         terminated: the environment terminated.
         reached: a target was reached.

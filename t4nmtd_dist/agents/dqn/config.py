@@ -20,11 +20,11 @@ class DQNConfig:
         learning_starts: transitions before the first update.
         batch: transitions per update.
         updates_per_step: updates per interaction.
-        n_step: maximum number of steps in a return; cut at every DFA change.
-        relabel_share: share of a batch read in a DFA state drawn from all those with a transition of the sub-task
-            (exact relabelling).
+        n_step: maximum length of a return; cut at every DFA change.
+        relabel_share: share of a batch read in a random DFA state with a transition of the sub-task (exact
+            relabelling).
         peer_share: share of a batch from peers' replay, read as the sub-task's own (docs/decisions/016).
-        success_share: share of a batch from the last steps before past successes.
+        success_share: share of a batch from the last steps before successes.
         learning_rate: of Adam.
         tau: Polyak step of the target network.
         max_grad_norm: gradient clipping threshold.

@@ -15,15 +15,15 @@ def double_q_target(
 ) -> Tensor:
     """Y = r + gamma^n Q'(s', argmax_a Q(s', a)) [B].
 
-    Across a sub-task boundary, a peer acts in s', so the bootstrap value is the peer's max_a Q'(s', a); without an
-    answer, the own value.
+    Across a boundary, a peer acts in s', so the bootstrap value is the peer's max_a Q'(s', a), or the own value without
+    an answer.
 
     Args:
         reward: r, the scaled n-step return [B].
         discount: gamma^n, 0 at terminals [B].
         next_q: Q(s', .) [B, actions].
         next_target_q: Q'(s', .) [B, actions].
-        peer_value: peers' values; arbitrary where no peer answered [B].
+        peer_value: arbitrary without an answer [B].
         answered: where a peer answered, bool [B].
     """
     best = next_q.argmax(1, keepdim=True)

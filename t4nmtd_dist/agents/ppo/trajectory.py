@@ -22,7 +22,7 @@ class Trajectory:
         rewards: scaled.
         terminal: F, E, or the environment terminated.
         cut: the DFA state changed or the attempt ended: GAE's trace stops here.
-        boundary: cut and not terminal: s' has a bootstrap value of its own, not the next row's.
+        boundary: cut and not terminal: s' needs its own bootstrap value.
         boundary_observations: raw s' before any restart [T, N, d].
         boundary_q: q' before any restart.
     """

@@ -21,24 +21,23 @@ class SACConfig:
         learning_starts: transitions before the first update.
         batch: transitions per update.
         updates_per_step: updates per interaction.
-        n_step: maximum number of steps in a return; cut at every DFA change.
-        relabel_share: share of a batch read in a DFA state drawn from all those with a transition of the sub-task,
-            which may be the row's own (exact relabelling).
+        n_step: maximum length of a return; cut at every DFA change.
+        relabel_share: share of a batch read in a random DFA state with a transition of the sub-task, possibly the row's
+            own (exact relabelling).
         peer_share: share of a batch from peers' replay, read as the sub-task's own (docs/decisions/016).
-        success_share: share of a batch from the last steps before past successes.
-        exploration: ``held`` interrupts the policy with random actions held for some steps; ``sinusoid`` drives whole
-            attempts by sinusoids; ``held+sinusoid`` does both, ``none`` neither (docs/decisions/014).
-        exploration_share: share of attempts in which each chosen kind acts at success rate 0; proportional to the
-            squared failure rate.
+        success_share: share of a batch from the last steps before successes.
+        exploration: ``held`` interrupts the policy with held random actions; ``sinusoid`` drives whole attempts by
+            sinusoids; ``held+sinusoid`` does both, ``none`` neither (docs/decisions/014).
+        exploration_share: share of attempts in which each chosen kind acts at success rate 0; falls with the squared
+            failure rate.
         learning_rate: of the three optimisers.
-        learning_rate_decay: share of the learning rate removed at success rate 1; proportional to the squared success
-            rate.
-        initial_alpha: initial entropy coefficient, tuned from there; 0 selects the one at which acting at random
-            forever is worth as much as one target.
-        alpha_floor: lower bound of the entropy coefficient at success rate 0, as a share of its initial value;
-            proportional to the squared failure rate.
-        actor_average: share of the actor added to the running average of its weights at each actor update. The average
-            is evaluated and exported; 1 means no averaging (docs/decisions/015).
+        learning_rate_decay: share of the learning rate removed at success rate 1; grows with the squared success rate.
+        initial_alpha: initial entropy coefficient; 0 selects the one at which acting at random forever is worth one
+            target.
+        alpha_floor: lower bound of the entropy coefficient at success rate 0, as a share of its initial value; falls
+            with the squared failure rate.
+        actor_average: share of the actor added to its running average, which is evaluated and exported, at each actor
+            update; 1 means no averaging (docs/decisions/015).
     """
 
     num_envs: Count = 4

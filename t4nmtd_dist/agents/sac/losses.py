@@ -31,14 +31,14 @@ def critic_target(
 ) -> Tensor:
     """Y = r + gamma^n (min_i Q'_i(s', a') - alpha log pi(a'|s')) [B].
 
-    Across a sub-task boundary, a peer acts in s': min Q', a' and log pi are the peer's, or the own ones without an
-    answer. alpha is always the own one.
+    Across a boundary, a peer acts in s': min Q', a' and log pi are the peer's, or the own ones without an answer. alpha
+    is always the own one.
 
     Args:
         reward: r, the scaled n-step return [B].
         discount: gamma^n, 0 at terminals [B].
         own: from the own target critics and actor.
-        peer: from the peers; arbitrary where no peer answered.
+        peer: from the peers; arbitrary without an answer.
         answered: where a peer answered, bool [B].
         alpha: entropy coefficient [1].
     """

@@ -30,11 +30,11 @@ class SACSettings:
         actor_average: share of the actor added to its running average at every actor step; the first steps weigh
             equally. 1 means no averaging.
         initial_alpha: initial entropy coefficient; 0.1, since 1 would dwarf a sparse reward.
-        target_entropy: nats per action; None for minus the number of action dimensions.
-        actor_every: critic updates per update of actor and entropy coefficient; usually 1, more if critics need many
-            updates per interaction (Chen et al., 2021: REDQ).
+        target_entropy: nats per action; None for minus the action size.
+        actor_every: critic updates per update of actor and entropy coefficient; above 1 if critics need many updates
+            per interaction (Chen et al., 2021: REDQ).
         layer_norm: normalise the critics' hidden layers.
-        hidden: widths of the hidden layers of actor and critics.
+        hidden: hidden layer widths of actor and critics.
     """
 
     learning_rate: float = 3e-4

@@ -73,9 +73,9 @@ def _through_activation(layer: HiddenLayer, gradient: HiddenLayer, activations: 
 def chosen_input_gradient(
     layers: Layers, workspace: Activations, choice: NDArray[np.integer[Any]], first_input: int
 ) -> NDArray[np.floating[Any]]:
-    """Derivative of the output of each row's *chosen* network with respect to its last inputs.
+    """Derivative of each row's *chosen* network's output with respect to its last inputs.
 
-    Rows are sorted by network, so each is backpropagated through one network only: half the work with two critics.
+    Rows are sorted by network, so each passes through one network only: half the work with two critics.
 
     Args:
         layers: parameters of a stack with one output.

@@ -1,8 +1,8 @@
 """Matrix products by the faster library for this processor.
 
-torch uses MKL, numpy OpenBLAS. On AMD's Zen 4, OpenBLAS is 5 to 10 % faster on SAC's small products, which take four
-fifths of an update. The choice depends on the CPU vendor and not on a measurement, so runs on one machine are equal bit
-for bit. Both obey ``OMP_NUM_THREADS``, which the programs set to 1 before importing either.
+torch uses MKL, numpy OpenBLAS. On AMD's Zen 4, OpenBLAS is 5 to 10 % faster on SAC's small products, four fifths of an
+update. The choice depends on the CPU vendor, not on a measurement, so runs on one machine are bitwise equal. Both obey
+``OMP_NUM_THREADS``, which the programs set to 1 before importing either.
 """
 
 from __future__ import annotations
