@@ -28,12 +28,7 @@ class BatchOfOne(gymnasium.Env[NDArray[Any], Any]):
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[NDArray[np.float32], dict[str, Any]]:
-        """Reset to the start.
-
-        Args:
-            seed: for everything random in the environment.
-            options: ignored.
-        """
+        """Reset to the start; ignores ``options``."""
         super().reset(seed=seed)
         if self._batch.generators:
             self._batch.generators[0] = self.np_random

@@ -78,17 +78,17 @@ def rows_to_reset(options: Mapping[str, Any] | None, num_envs: int) -> NDArray[n
 
 
 def checked_snapshots(env: str, states: object, count: int, size: int, kind: str) -> NDArray[Any]:
-    """Check type, shape and finiteness of snapshots, but not the meaning of their values.
+    """Check that snapshots are a finite array of shape (count, size); values keep their meaning unchecked.
 
     Args:
         env: name of the environment, for the message.
-        states: supposed array of shape (count, size).
+        states: the snapshots.
         count: number of snapshots.
         size: length of one snapshot.
         kind: allowed numpy kind codes, such as ``"i"`` or ``"f"``.
 
     Raises:
-        ValueError: if they are no such array, or hold NaN or infinity.
+        ValueError: if they are not.
     """
     if not isinstance(states, np.ndarray) or states.dtype.kind not in kind or states.shape != (count, size):
         came = f"{states.dtype} {states.shape}" if isinstance(states, np.ndarray) else type(states).__name__

@@ -36,13 +36,7 @@ class FrozenLakeVectorEnv(SnapshotBatch):
         observation: Observation = "features",
         render_mode: str | None = None,
     ) -> None:
-        """Make N lakes in their start state.
-
-        Args:
-            num_envs: N, at least 1.
-            goals: 1 for task 7, 2 for task 8.
-            observation: "features" or "raw".
-            render_mode: None or "rgb_array".
+        """Make ``num_envs`` lakes in their start state; other arguments as for ``FrozenLakeEnv``.
 
         Raises:
             ValueError: if an argument is invalid.

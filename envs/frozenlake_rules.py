@@ -131,7 +131,7 @@ def advance(lake: Lake, states: NDArray[np.int64], actions: NDArray[np.intp]) ->
     Args:
         lake: the rules.
         states: array of shape (N, 7).
-        actions: array of shape (N,), entries 0..5: left, down, right, up, pick, drop.
+        actions: array of shape (N,): 0..5 for left, down, right, up, pick, drop.
     """
     cell, ended, carrying = states[:, CELL], states[:, ENDED], states[:, CARRYING]
     acting = ended * len(ACTIONS) + actions
@@ -177,11 +177,7 @@ _COORDINATES = np.array([*np.ndindex(SIDE, SIDE), (-1, -1)], dtype=np.float32)
 
 
 def observe(states: NDArray[np.int64], observation: Observation) -> NDArray[np.float32]:
-    """Observations of states, see ``envs.frozenlake.FrozenLakeEnv``.
-
-    Args:
-        states: array of shape (N, 7).
-        observation: the kind.
+    """Observations of states (N, 7), see ``envs.frozenlake.FrozenLakeEnv``.
 
     Returns:
         A new array of shape (N, 83) for features, (N, 8) for raw.

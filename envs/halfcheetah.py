@@ -73,11 +73,9 @@ class HalfCheetahEnv(gymnasium.Env[NDArray[Any], Any]):
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[NDArray[np.float32], dict[str, Any]]:
-        """Reset near x = 0 with gymnasium's noise: uniform 0.1 on positions, normal 0.1 on velocities.
+        """Reset near x = 0 with the noise of gymnasium's ``HalfCheetah-v5``; ignores ``options``.
 
-        Args:
-            seed: for the noise, as in gymnasium's ``HalfCheetah-v5``.
-            options: ignored.
+        The noise is uniform 0.1 on positions, normal 0.1 on velocities.
         """
         super().reset(seed=seed)
         mujoco.mj_resetData(self._model, self._data)

@@ -27,11 +27,7 @@ def render_side_view(
 ) -> NDArray[np.uint8]:
     """A map of all markers above a view that follows the body: uint8 array (356, 640, 3).
 
-    Args:
-        model: the ``mujoco.MjModel``.
-        positions: qpos, array of shape (9,).
-        propositions: names of the markers.
-        labels: the true ones.
+    ``positions`` is qpos, array of shape (9,); ``labels`` are the true ``propositions``.
     """
     canvas = Canvas(_WIDTH, _MAP_HEIGHT + _VIEW_HEIGHT + LABEL_BAND_HEIGHT, (226, 238, 247))
     x = float(positions[0])

@@ -79,10 +79,7 @@ class Canvas:
     def label_band(self, propositions: Sequence[str], true: Collection[str], note: str = "") -> None:
         """The labels along the bottom, ``LABEL_BAND_HEIGHT`` high: true ones filled, false ones hollow.
 
-        Args:
-            propositions: all names, in drawing order.
-            true: the true names.
-            note: a word at the right end, such as "ended".
+        ``note`` is a word at the right end, such as "ended".
         """
         top = self.height - LABEL_BAND_HEIGHT
         middle = top + LABEL_BAND_HEIGHT / 2

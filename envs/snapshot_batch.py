@@ -36,14 +36,7 @@ class SnapshotBatch(VectorEnv[NDArray[np.float32], NDArray[Any], NDArray[Any]], 
         action_space: spaces.Space[Any],
         render_mode: str | None,
     ) -> None:
-        """Validate and store the common arguments.
-
-        Args:
-            num_envs: N, at least 1.
-            propositions: names of the label columns.
-            observation_space: of one environment.
-            action_space: of one environment.
-            render_mode: None or "rgb_array".
+        """Validate and store the common arguments; the spaces are those of one environment.
 
         Raises:
             ValueError: if ``num_envs`` or ``render_mode`` is invalid.

@@ -42,14 +42,7 @@ class WaterworldVectorEnv(SnapshotBatch):
         observation: Observation = "features",
         render_mode: str | None = None,
     ) -> None:
-        """Make N ponds in a start state.
-
-        Args:
-            num_envs: N, at least 1.
-            colours: 6 (18 balls, task 1) or 8 (24 balls, task 2).
-            map: "paper", a seed for one fixed map, or "random" for a new map at every reset.
-            observation: "features" or "raw".
-            render_mode: None or "rgb_array".
+        """Make ``num_envs`` ponds in a start state; other arguments as for ``WaterworldEnv``.
 
         Raises:
             ValueError: if an argument is invalid.
@@ -150,12 +143,6 @@ class WaterworldEnv(BatchOfOne):
 
 
 def start_states(palette: Palette, choice: int | str, generators: Sequence[np.random.Generator]) -> NDArray[np.float64]:
-    """States after a reset, array of shape (4, N, balls + 1).
-
-    Args:
-        palette: the colours.
-        choice: the constructor keyword ``map``.
-        generators: N of them, for random maps.
-    """
+    """States after a reset, array of shape (4, N, balls + 1); ``choice`` is the keyword ``map``."""
     maps = [np.append(starting_balls(palette, choice, generator), START) for generator in generators]
     return to_states(np.stack(maps))

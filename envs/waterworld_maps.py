@@ -89,10 +89,7 @@ def random_map(palette: Palette, generator: np.random.Generator) -> NDArray[np.f
 def starting_balls(palette: Palette, choice: int | str, generator: np.random.Generator) -> NDArray[np.float64]:
     """The balls at a reset: array of shape (balls, 4).
 
-    Args:
-        palette: the colours.
-        choice: "paper", "random", or the seed of a fixed map.
-        generator: for "random" maps only.
+    ``choice`` is the keyword ``map``; only "random" draws from ``generator``.
     """
     if choice == "paper":
         return paper_map(palette)

@@ -124,10 +124,7 @@ class Ponds:
         return touches
 
     def step(self, commands: NDArray[np.float64]) -> NDArray[np.bool_]:
-        """Step every copy.
-
-        Args:
-            commands: array of shape (N, 2), the commanded velocities.
+        """Step every copy by commanded velocities, array of shape (N, 2).
 
         Returns:
             Labels, bool array of shape (N, colours). Quirk: they describe the positions *before* the move, so the

@@ -51,11 +51,8 @@ def to_snapshots(states: NDArray[np.float64]) -> NDArray[np.float64]:
 def reflect(states: NDArray[np.float64]) -> NDArray[np.bool_]:
     """Clamp positions at the walls and reverse the velocity there, per axis, in place.
 
-    Args:
-        states: array of shape (4, ...) of moved balls and agents.
-
     Returns:
-        Bool array of shape (2, ...): the axes, x and y, that were reversed.
+        The reversed axes, x and y, of states (4, ...): bool array of shape (2, ...).
     """
     positions, velocities = states[:2], states[2:]
     turned: NDArray[np.bool_] = (positions <= 0) | (positions >= SIDE)

@@ -41,9 +41,7 @@ class Actor(Protocol):
     def act(self, states: NDArray[np.float32], rng: np.random.Generator | None = None) -> Actions:
         """Actions for product states [N, inputs]: int64 [N], or float32 [N, A] within the action space's bounds.
 
-        Args:
-            states: product states.
-            rng: samples actions from the policy; without it, actions are the most likely ones.
+        ``rng`` samples them from the policy; without it, they are the most likely ones.
         """
 
 

@@ -53,13 +53,7 @@ def sizes_of(weights: Arrays, config: TaskConfig, dfa_states: int) -> NetworkSiz
 def check_weights(
     weights: Arrays, config: TaskConfig, dfa_states: int, sizes: NetworkSizes | None = None
 ) -> NetworkSizes:
-    """Check a learner's weights against its task.
-
-    Args:
-        weights: parameters by name.
-        config: the task.
-        dfa_states: |Q|.
-        sizes: sizes of the task's other learners, if known; all learners must agree.
+    """Check a learner's weights against its task and, if given, the ``sizes`` of the task's other learners.
 
     Returns:
         The sizes.

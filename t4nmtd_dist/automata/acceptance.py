@@ -27,12 +27,7 @@ ACCEPTANCE_TEXT: dict[str, str] = {
 
 
 def acceptance_of(dfa: DFA, exclusive: ExclusiveGroups = ()) -> Acceptance:
-    """``first`` if the task is co-safe, i.e. no allowed symbol leads out of the accepting states.
-
-    Args:
-        dfa: the automaton of the formula.
-        exclusive: groups of propositions that never hold together; their symbols are ignored.
-    """
+    """``first`` if the task is co-safe: no symbol allowed by ``exclusive`` leads out of the accepting states."""
     reduced = reduce_automaton(dfa, exclusive)
     lost = any(q in reduced.accepting and target not in reduced.accepting for q, target in reduced.transitions)
     return "end" if lost else "first"
@@ -41,12 +36,7 @@ def acceptance_of(dfa: DFA, exclusive: ExclusiveGroups = ()) -> Acceptance:
 def task_automaton(
     dfa: DFA, setting: AcceptanceSetting = "auto", exclusive: ExclusiveGroups = ()
 ) -> tuple[DFA, Acceptance]:
-    """The automaton to train with, and how it accepts.
-
-    Args:
-        dfa: the automaton of the formula.
-        setting: ``auto`` applies ``acceptance_of``.
-        exclusive: as for ``acceptance_of``.
+    """The automaton to train with, and how it accepts; ``auto`` applies ``acceptance_of``.
 
     Raises:
         FormulaError: if adding ``last`` exceeds the maximum number of propositions.

@@ -37,10 +37,7 @@ class Deadline:
         return max(0.0, self.end - time.monotonic())
 
     def check(self, doing: str = "") -> None:
-        """Raise if the deadline has passed.
-
-        Args:
-            doing: the current step; empty during translation.
+        """Raise if the deadline has passed; ``doing`` names the step after translation.
 
         Raises:
             TranslationError: during translation.

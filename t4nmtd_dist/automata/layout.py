@@ -67,8 +67,8 @@ def place(initial: int, transitions: Collection[Transition], states: Iterable[in
 
     Args:
         initial: the leftmost state.
-        transitions: transitions that determine the columns, without self-loops.
-        states: states to place; unreached ones go in the last column.
+        transitions: determine the columns; without self-loops.
+        states: to place; unreached ones go in the last column.
     """
     column = _columns(initial, transitions, states)
     rows = _rows(column, transitions)
@@ -117,13 +117,7 @@ def free_directions(at: Points, curves: Iterable[Curve], prefer: tuple[int, ...]
 def label_boxes(
     curves: Mapping[Transition, Curve], widths: Mapping[Transition, float], taken: Iterable[Box]
 ) -> dict[Transition, Box]:
-    """A label box on every curve, away from states, labels and other curves.
-
-    Args:
-        curves: from ``route``.
-        widths: of the labels.
-        taken: boxes to avoid.
-    """
+    """A label box of given width on every curve, away from ``taken``, states, labels and other curves."""
     boxes = list(taken)
     found: dict[Transition, Box] = {}
     samples = {tau: curve.at(np.linspace(0, 1, 40)) for tau, curve in curves.items()}

@@ -24,10 +24,7 @@ _TRUE_FORMULA = Formula(Operator.TRUE)
 def translate_by_progression(formula: Formula, propositions: Sequence[str], deadline: Deadline) -> RawAutomaton:
     """A formula's complete deterministic automaton; states are classes of equivalent residual formulas.
 
-    Args:
-        formula: its propositions must be among ``propositions``.
-        propositions: at most 16 names, in the order of the symbols' bits.
-        deadline: of the translation.
+    Arguments as for ``mona.translate_by_mona``.
 
     Raises:
         TranslationError: if the deadline passes or the transition table becomes too large.

@@ -42,15 +42,7 @@ class ReducedAutomaton:
 
 
 def allowed_symbols(dfa: DFA, exclusive: ExclusiveGroups = ()) -> TruthTable:
-    """Symbols in which at most one proposition of each exclusive group holds.
-
-    Args:
-        dfa: the task automaton.
-        exclusive: groups of propositions that never hold together; names outside AP are ignored.
-
-    Returns:
-        bool array of shape (2**|AP|,).
-    """
+    """Symbols with at most one proposition of each exclusive group, bool (2**|AP|,)."""
     symbols = np.arange(1 << len(dfa.propositions))
     allowed = np.ones(symbols.size, dtype=np.bool_)
     for group in exclusive:

@@ -26,12 +26,8 @@ def action_mode(text: object) -> ActionMode:
 def modes_to_play(setting: EvaluationActions, row_mode: ActionMode | None) -> tuple[ActionMode, ...]:
     """Modes of the next evaluation: the first is always played, another only if those before fall short.
 
-    With ``best``, the mode of the current row of evaluations comes first, so that a row uses one mode. Without a row,
-    greedy comes first.
-
-    Args:
-        setting: ``evaluation.actions``.
-        row_mode: mode of the current row; None if there is none.
+    With ``best``, the mode of the current row of evaluations (``row_mode``) comes first, so that a row uses one mode.
+    Without a row, greedy comes first.
     """
     if setting != "best":
         return (setting,)

@@ -234,15 +234,11 @@ def _check_names(task: TaskConfig) -> None:
 
 
 def task_config(data: Mapping[str, Any], *, source: str = "task") -> TaskConfig:
-    """Build a TaskConfig from plain data.
-
-    Args:
-        data: nested mappings, as in TOML.
-        source: their origin, for messages.
+    """Build a TaskConfig from nested mappings, as in TOML; ``source`` is for messages.
 
     Raises:
-        ConfigError: for an unknown key (suggests the nearest), a key of an earlier version (names its replacement), a
-            missing key, a wrong type or range.
+        ConfigError: for an unknown key (suggests the nearest), a former key (names its replacement), a missing key, a
+            wrong type or range.
     """
     try:
         _refuse_unknown_keys(data, TaskConfig, ())

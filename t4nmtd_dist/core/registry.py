@@ -32,11 +32,7 @@ class Registry:
         return tuple(sorted(self.modules))
 
     def check(self, name: str, setting: str) -> None:
-        """Check that ``name`` is registered.
-
-        Args:
-            name: the given name.
-            setting: the setting it was given for, for the message; "learner.algorithm".
+        """Check that ``name``, the value of ``setting``, is registered.
 
         Raises:
             ConfigError: lists the known names and suggests the nearest.

@@ -19,12 +19,7 @@ _MISSING = re.compile(r"Object missing required field `(?P<field>.*)`")
 
 
 def read_section(kind: type[Section], data: Any, key: str = "") -> Section:
-    """Read a section from plain data.
-
-    Args:
-        kind: its dataclass.
-        data: a mapping; unknown keys are ignored.
-        key: its name, for messages; empty for the root.
+    """Read a section from a mapping; ignores unknown keys. ``key`` is its name, for messages.
 
     Raises:
         ConfigError: on a missing key, a wrong type, or a value out of range; names the key, the expectation and the

@@ -27,12 +27,7 @@ def check_action_space(task: TaskConfig, space: object) -> None:
 
 
 def action_count(space: object, environment: str, agent: str = "this agent") -> int:
-    """Number of discrete actions.
-
-    Args:
-        space: the action space.
-        environment: its id, for messages.
-        agent: the agent's name, for messages.
+    """Number of discrete actions; ``environment`` and ``agent`` are names for messages.
 
     Raises:
         EnvError: if the space is not Discrete.

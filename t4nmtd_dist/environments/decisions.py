@@ -15,10 +15,8 @@ from t4nmtd_dist.tasks import is_packages_environment
 def decided(config: TaskConfig, action_space: object) -> TaskConfig:
     """Resolve ``auto`` for the algorithm and the normalisation of observations.
 
-    Args:
-        config: of any task.
-        action_space: of its environment. Discrete selects an agent for discrete actions, anything else one for
-            continuous actions; ``check_action_space`` verifies the choice.
+    A Discrete action space selects an agent for discrete actions, any other one for continuous actions;
+    ``check_action_space`` verifies the choice.
     """
     if config.learner.algorithm == "auto":
         discrete = isinstance(action_space, spaces.Discrete)

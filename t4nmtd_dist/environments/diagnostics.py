@@ -82,12 +82,7 @@ class Diagnosis:
 
 
 def diagnose(task: CompiledTask, *, steps: int, seed: int) -> Diagnosis:
-    """Act at random and collect findings.
-
-    Args:
-        task: any task, bundled ones included.
-        steps: number of steps.
-        seed: for resets and actions.
+    """Take random actions in any task's environment and collect findings.
 
     Raises:
         EnvError: if the environment cannot be opened, stepped, labelled or restored.

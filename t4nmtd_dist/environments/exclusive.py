@@ -56,12 +56,7 @@ class Suggestion:
 
 
 def suggestions(task: CompiledTask, seen: Mapping[frozenset[str], int]) -> list[Suggestion]:
-    """Groups worth declaring, most useful first.
-
-    Args:
-        task: its automaton should become smaller.
-        seen: counts of the sets of true propositions.
-    """
+    """Groups that would shrink the task's automaton, most useful first; ``seen`` counts sets of true propositions."""
     declared = task.config.exclusive
     before = reduce_automaton(task.dfa, declared)
     true = _true_steps(seen)
@@ -78,13 +73,7 @@ def suggestions(task: CompiledTask, seen: Mapping[frozenset[str], int]) -> list[
 
 
 def never_together(names: Iterable[str], seen: Mapping[frozenset[str], int], *, least: int) -> list[tuple[str, ...]]:
-    """Maximal groups of propositions of which no two were true in one step.
-
-    Args:
-        names: candidate propositions.
-        seen: counts of the sets of true propositions.
-        least: minimum number of steps on which a proposition must have held.
-    """
+    """Maximal groups of propositions, each true on at least ``least`` steps, of which no two were true in one step."""
     true = _true_steps(seen)
     frequent = [name for name in names if true[name] >= least]
     apart = {

@@ -39,10 +39,6 @@ class LabelReader:
     def row(self, observation: Any, info: dict[str, Any]) -> NDArray[np.bool_]:
         """The true propositions as bool [P], in the order of ``propositions``.
 
-        Args:
-            observation: from the environment.
-            info: from the environment.
-
         Returns:
             A read-only array, shared by equal sets.
 

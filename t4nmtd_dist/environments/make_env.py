@@ -21,12 +21,8 @@ from t4nmtd_dist.environments.user_errors import calls, described
 def make_env(config: EnvironmentConfig, count: int, propositions: Sequence[str] = ()) -> BatchedEnv:
     """Open ``count`` copies of the configured environment.
 
-    Uses a vector environment that implements ``envs.protocol`` directly; steps all others in a loop.
-
-    Args:
-        config: the section ``[environment]``.
-        count: N.
-        propositions: all that may be reported, for environments that do not declare them.
+    Uses a vector environment that implements ``envs.protocol`` directly; steps all others in a loop. ``propositions``
+    is for environments that do not declare their own.
 
     Raises:
         EnvError: if the environment is unknown, rejects its options, or lacks labels or snapshots.

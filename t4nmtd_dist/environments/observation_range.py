@@ -50,8 +50,7 @@ class ObservationRange:
     def warnings(self, *, normalised: bool) -> list[str]:
         """One line for each obstacle to learning, with its remedy.
 
-        Args:
-            normalised: whether learners normalise, which fixes everything but numbers that stand for categories.
+        If learners normalise, only numbers that stand for categories are obstacles.
         """
         found: list[str] = []
         for part, numbers in self._numbered():

@@ -69,11 +69,7 @@ class Flattener:
 
 
 def flattener(space: gym.Space[Any], leave_out: Sequence[str] = ()) -> Flattener:
-    """The flattener for ``space``; keeps the order of a Dict.
-
-    Args:
-        space: of the observations.
-        leave_out: keys of a Dict to ignore.
+    """The flattener for observations of ``space``; keeps the order of a Dict, without the keys in ``leave_out``.
 
     Raises:
         EnvError: for any other space, and for unknown keys in ``leave_out``.

@@ -83,12 +83,7 @@ def find_spec(config: EnvironmentConfig) -> Spec | None:
 
 
 def import_function(text: str, config: EnvironmentConfig, key: str) -> Callable[..., Any]:
-    """The function of a setting ``module:function``.
-
-    Args:
-        text: the setting.
-        config: its ``path`` is searched first.
-        key: name of the setting, for messages.
+    """The function of a setting ``key = "module:function"``, searched in ``config.path`` first.
 
     Raises:
         EnvError: if there is no such function.

@@ -26,13 +26,9 @@ CAUSES: Mapping[Adapter, str] = {
 
 
 def difference(name: str, now: Any, then: Any, propositions: Sequence[str]) -> str | None:
-    """How a step after restoring differs from the original; None if it does not.
+    """How a step after restoring (``now``) differs from the original (``then``); None if it does not.
 
-    Args:
-        name: "observation" (float [d]), "labels" (bool [P]), "terminated" or "truncated" (bool).
-        now: the value after restoring.
-        then: the original value.
-        propositions: names of the labels [P].
+    ``name`` is "observation" (float [d]), "labels" (bool [P]), "terminated" or "truncated" (bool).
     """
     if np.array_equal(now, then, equal_nan=True):
         return None
@@ -62,12 +58,7 @@ def _number(now: Any, then: Any) -> str:
 
 
 def refusal(environment: str, failures: Mapping[Adapter, str]) -> str:
-    """The full message.
-
-    Args:
-        environment: its id.
-        failures: the failure of each adapter tried; at least one.
-    """
+    """The full message, with the failure of each adapter tried; at least one."""
     lines = [
         f"environment {environment!r} cannot be put back into an earlier state, in which the next sub-task begins; "
         "after restoring a snapshot, the same actions must give exactly the same steps. What was tried:"

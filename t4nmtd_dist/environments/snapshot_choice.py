@@ -86,12 +86,7 @@ class InexactRestoreError(EnvError):
 
 
 def check_restore(config: EnvironmentConfig, propositions: Sequence[str], *, trials: int = TRIALS) -> int:
-    """Restore an environment's snapshots into another copy and into itself and compare the next steps.
-
-    Args:
-        config: with an adapter.
-        propositions: all that may be reported.
-        trials: number of snapshots.
+    """Restore snapshots into the same environment and into a copy, and compare the next steps.
 
     Returns:
         Bytes to reserve for a snapshot, 0 if the adapter needs none.

@@ -68,14 +68,7 @@ def is_mujoco(env: Env) -> bool:
 
 
 def make_snapshots(env: Env, adapter: Adapter, flattener: Flattener, snapshot_bytes: int, horizon: int) -> Snapshots:
-    """Create an adapter.
-
-    Args:
-        env: the environment.
-        adapter: its name.
-        flattener: of its observations.
-        snapshot_bytes: size of a snapshot; 0 for no padding.
-        horizon: maximum length of a replay.
+    """Create an adapter; ``snapshot_bytes`` 0 means no padding, ``horizon`` limits a replay.
 
     Raises:
         EnvError: if the environment lacks what the adapter needs.

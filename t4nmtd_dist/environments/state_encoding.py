@@ -36,11 +36,7 @@ class CannotRestoreError(EnvError):
 
 
 def encode_state(value: Any, *, leave: frozenset[int] = frozenset()) -> bytes:
-    """Encode a value's state; equal states give equal bytes.
-
-    Args:
-        value: any object.
-        leave: ids of objects to treat as opaque.
+    """Encode a value's state; equal states give equal bytes. Objects with ids in ``leave`` are opaque.
 
     Raises:
         CannotRestoreError: if it has too many parts.

@@ -23,11 +23,7 @@ OUR_WORLDS = "envs:t4nmtd/"  # id prefix of our environments, even if another mo
 
 
 def import_task_module(name: str, folders: Sequence[str]) -> ModuleType:
-    """Import a module named by a task; importing it again gives the same object.
-
-    Args:
-        name: dotted name.
-        folders: of the task's own modules, in search order.
+    """Import a module named by a task, searching ``folders`` first; repeated imports give the same object.
 
     Raises:
         Exception: anything that the import raises.

@@ -17,14 +17,7 @@ Result = TypeVar("Result")
 
 
 def call_user(who: str, what: str, function: Callable[..., Result], *arguments: Any, **keywords: Any) -> Result:
-    """Call a user's function.
-
-    Args:
-        who: its owner, such as "environment 'module:make'".
-        what: its name.
-        function: the function.
-        *arguments: of the function.
-        **keywords: of the function.
+    """Call a function ``what`` of a user's object ``who``, such as "environment 'module:make'".
 
     Raises:
         EnvError: if it raises.

@@ -59,12 +59,7 @@ def distances(
 
 
 def potentials(dfa: DFA, dist: Mapping[int, float], constant: float = 100.0) -> NDArray[np.float64]:
-    """The potential rho(q) = C / (dist(q) + 1), which is C on F.
-
-    Args:
-        dfa: the task automaton.
-        dist: from ``distances``.
-        constant: C.
+    """The potential rho(q) = C / (dist(q) + 1), which is C on F; ``dist`` is from ``distances``.
 
     Returns:
         float64 array of shape (states,). States at infinite distance have C / (D_max + 1), D_max being the largest

@@ -168,12 +168,6 @@ class MethodModule(Protocol):
     def decompose(self, config: TaskConfig, dfa: DFA, *, seed: int, deadline: Deadline | None) -> Decomposition:
         """The roles and their transitions.
 
-        Args:
-            config: settings of the task.
-            dfa: its automaton.
-            seed: the run's.
-            deadline: of the compilation.
-
         Raises:
             ConfigError: if there is nothing to learn, or the deadline has passed.
         """

@@ -39,12 +39,7 @@ class Role:
 def role_of(config: TaskConfig, dfa: DFA, decomposition: Decomposition, rho: NDArray[np.float64], name: str) -> Role:
     """Tabulate one role of a decomposition with the task's shaping, penalty and limits.
 
-    Args:
-        config: settings of the task, with its ``acceptance`` determined.
-        dfa: the task automaton.
-        decomposition: every role's transitions.
-        rho: potential of every DFA state, float64 [Q].
-        name: of the role.
+    ``config.acceptance`` must be resolved; ``rho`` is the potential of every DFA state, float64 [Q].
     """
     settings = config.learner
     tables = subtask_tables(

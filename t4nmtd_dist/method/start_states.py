@@ -104,9 +104,9 @@ def sample_starts(
     """Draw ``count`` start states: uniform over the DFA states present, then uniform within.
 
     Args:
-        buffer: the sub-task's buffer.
-        reset_q: the initial DFA state if the sub-task is available there, else None. The environment's reset then
-            counts as an entry of it.
+        buffer: of the sub-task.
+        reset_q: the initial DFA state if the sub-task is available there, else None; the environment's reset is then an
+            entry of it.
         count: number of starts.
         rng: random generator.
 

@@ -28,15 +28,9 @@ class Played:
 def play(
     evaluator: Evaluator, policy: GlobalPolicy, modes: Sequence[ActionMode], enough: float
 ) -> Generator[None, None, Played]:
-    """Play the first mode, and each further one only if the previous ones fall short; the best counts.
+    """Play the first mode, and each further one while the success rate is below ``enough``; the best counts.
 
     Yields once per step, for interleaving with other work, and returns the result.
-
-    Args:
-        evaluator: plays the episodes.
-        policy: the acting policy.
-        modes: modes to try, in order, at least one.
-        enough: success rate at which to stop.
     """
     results: dict[ActionMode, EvaluationResult] = {}
     for mode in modes:

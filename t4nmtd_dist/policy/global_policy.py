@@ -132,11 +132,7 @@ class GlobalPolicy:
         return (np.zeros(len(q), np.int64) if actions is None else actions), known
 
     def reset(self, seed: int | None = None) -> None:
-        """Begin an episode in the initial DFA state.
-
-        Args:
-            seed: for subsequent sampled actions; None keeps the generator's state.
-        """
+        """Begin an episode in the initial DFA state; ``seed``, if given, reseeds sampled actions."""
         self._q, self._first, self._steps = self.dfa.initial, True, 0
         if seed is not None:
             self._rng = np.random.default_rng(seed)
@@ -198,12 +194,7 @@ class GlobalPolicy:
         return self._after(labels, ended=ended) in self.dfa.accepting
 
     def failed(self, labels: Iterable[str], *, ended: bool = False) -> bool:
-        """Whether the task can no longer be solved after the step that followed the last action.
-
-        Args:
-            labels: names of the true propositions after that step.
-            ended: as for ``accepts``.
-        """
+        """Whether the task can no longer be solved after that step; arguments as for ``accepts``."""
         return self._after(labels, ended=ended) in self.dfa.error
 
     def _after(self, labels: Iterable[str], *, ended: bool = False) -> int:

@@ -45,13 +45,7 @@ def merged(layers: Iterable[Layer]) -> dict[str, Any]:
 
 
 def origin(key: Key, layers: Iterable[Layer], config: TaskConfig) -> str:
-    """Origin of a setting's value: a layer, the chosen algorithm's defaults, or the general ones.
-
-    Args:
-        key: names from the section to the setting.
-        layers: layers of the settings.
-        config: the resulting settings.
-    """
+    """Origin of a setting's value: a layer, the chosen algorithm's defaults, or the general ones."""
     for layer in reversed(list(layers)):
         if _has(layer.data, key):
             return layer.origin

@@ -57,12 +57,7 @@ class BatchSource:
         return [experience for pid, experience in self.others.items() if pid != self._pid and len(experience)]
 
     def draw(self, number: int, success: float) -> DrawnBatch:
-        """Draw a batch; its peer share comes from one peer, drawn in proportion to buffer length.
-
-        Args:
-            number: of the batch.
-            success: the own recent success rate.
-        """
+        """Draw batch ``number``; its peer share comes from one peer, drawn in proportion to buffer length."""
         config, parts = self._config, []
         others = self.peers_experience()
         peers_rows = round(config.batch * config.peer_share) if others else 0

@@ -34,12 +34,7 @@ class BatchesAhead:
         self._asked = 0  # batches of smaller numbers have been asked about
 
     def next(self, draw: Callable[[int], DrawnBatch], peers: PeerCritics) -> tuple[DrawnBatch, PeerValues]:
-        """Pop the oldest batch and its answers; refills the queue and queries peers first.
-
-        Args:
-            draw: draws the batch with the given number.
-            peers: to query.
-        """
+        """Pop the oldest batch and its answers, after refilling the queue with ``draw(number)`` and querying peers."""
         while len(self.drawn) < BATCHES_AHEAD:
             self.drawn.append(draw(self._first + len(self.drawn)))
         self._ask(peers)
@@ -60,11 +55,6 @@ class BatchesAhead:
         return [dict(vars(batch)) for batch in self.drawn]
 
     def load_state_dict(self, batches: Iterable[Mapping[str, Any]], first: int) -> None:
-        """Restore the batches; peers will be queried again.
-
-        Args:
-            batches: from ``state_dict``.
-            first: number of the first batch.
-        """
+        """Restore the batches, beginning with number ``first``; peers will be queried again."""
         self.drawn = deque(DrawnBatch(**{**batch, "asked_pids": tuple(batch["asked_pids"])}) for batch in batches)
         self._first = self._asked = first

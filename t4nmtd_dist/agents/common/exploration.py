@@ -16,12 +16,7 @@ LONGEST_HOLD = 20
 
 
 def driven_share(share: float, success: float) -> float:
-    """Share of attempts driven by exploration; proportional to the squared failure rate.
-
-    Args:
-        share: share at success rate 0.
-        success: recent success rate.
-    """
+    """Share of attempts driven by exploration: ``share`` times the squared failure rate."""
     return share * (1.0 - success) ** 2
 
 

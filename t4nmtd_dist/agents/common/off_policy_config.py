@@ -48,11 +48,7 @@ class OffPolicyConfig(Protocol):
 
 
 def check_replay(section: str, config: OffPolicyConfig) -> None:
-    """Check that the replay buffer can hold ``learning_starts`` transitions.
-
-    Args:
-        section: section of the settings, for the message; "sac".
-        config: the settings.
+    """Check that the replay buffer can hold ``learning_starts`` transitions; ``section`` is for the message.
 
     Raises:
         ConfigError: if it cannot.

@@ -30,11 +30,11 @@ def draw_successors(method: Method, role: str, boundary: Mask, q_next: States, r
     """Ask the method for the successor of each row that crosses a boundary.
 
     Args:
-        method: its ``successors`` decide.
-        role: the role that owns the rows.
+        method: decides.
+        role: owner of the rows.
         boundary: rows on which the DFA moved to a state outside F and E [B].
         q_next: that state [B].
-        rng: draws if there are several successors.
+        rng: random generator.
     """
     rows = np.flatnonzero(boundary)
     named = dict(zip(rows.tolist(), method.successors(role, q_next[rows], rng), strict=True))

@@ -17,11 +17,6 @@ def read_value_request(
 ) -> tuple[Observations, NDArray[Any]]:
     """Observations float32 [k, d] and DFA states, integers [k], of a value request.
 
-    Args:
-        arrays: of the message.
-        observation_size: d.
-        dfa_states: |Q|.
-
     Raises:
         ProtocolError: if ``observation`` is not finite float32 [k, d] or ``q`` not [k] states of the DFA.
     """

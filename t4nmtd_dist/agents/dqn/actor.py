@@ -37,14 +37,7 @@ class GreedyActor:
 def epsilon_greedy(
     greedy: NDArray[np.int64], actions: int, epsilon: float, rng: np.random.Generator
 ) -> NDArray[np.int64]:
-    """Replace each action with a uniform one with probability ``epsilon``.
-
-    Args:
-        greedy: greedy actions [N].
-        actions: number of actions.
-        epsilon: probability of a uniform action.
-        rng: random generator.
-    """
+    """Replace each greedy action [N] with a uniform one with probability ``epsilon``."""
     uniform = rng.integers(actions, size=len(greedy))
     return np.where(rng.random(len(greedy)) < epsilon, uniform, greedy)
 

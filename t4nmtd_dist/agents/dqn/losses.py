@@ -36,7 +36,7 @@ def q_loss(q: Tensor, actions: Tensor, target: Tensor) -> Tensor:
 
     Args:
         q: Q(s, .) [B, actions].
-        actions: indices of the actions taken, int64 [B, 1].
+        actions: action indices, int64 [B, 1].
         target: Y [B].
     """
     return functional.smooth_l1_loss(q.gather(1, actions).squeeze(1), target)

@@ -33,7 +33,7 @@ class DQNUpdate:
 
         Args:
             batch: B transitions, on the CPU.
-            answers: max_a Q'(s', a) of peers for some of its rows.
+            answers: peers' max_a Q'(s', a) for some rows.
         """
         states, actions = batch.states.to(self._device), batch.actions.to(self._device).long()
         loss = q_loss(self._networks.actor(states), actions, self.targets(batch, answers))

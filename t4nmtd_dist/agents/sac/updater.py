@@ -76,9 +76,7 @@ class SoftActorCritic(Protocol):
     def update(self, batch: Batch, peers: PeerSoftValues | None = None) -> None:
         """One gradient step of critics, actor and entropy coefficient, and a target step.
 
-        Args:
-            batch: B transitions.
-            peers: soft values of rows whose next state belongs to a peer, if any.
+        ``peers`` replaces the soft values of rows whose next state belongs to a peer.
         """
 
     def update_with_noise(self, batch: Batch, noise: Floats, peers: PeerSoftValues | None = None) -> None:

@@ -31,9 +31,9 @@ def weight_gradients(
     Args:
         layers: its parameters.
         gradients: views of the flat gradient, overwritten.
-        inputs: the evaluated inputs [rows, inputs].
-        workspace: activations of that evaluation; ``delta`` is overwritten.
-        d_outputs: derivative of the loss with respect to the outputs [n, outputs, rows].
+        inputs: [rows, inputs].
+        workspace: activations of their evaluation; ``delta`` is overwritten.
+        d_outputs: derivative of the loss w.r.t. the outputs [n, outputs, rows].
     """
     top = workspace.layers[-1]
     multiply(d_outputs, top.hidden, gradients.head_weight)
