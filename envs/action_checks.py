@@ -21,7 +21,7 @@ def checked_action(space: spaces.Discrete, action: object) -> int:
 
     Args:
         space: the action space, starting at 0.
-        action: an int, a numpy integer or an integer array of shape ().
+        action: an int, a numpy integer or an integer array ().
 
     Raises:
         ValueError: if ``action`` has another type or is not in ``space``.
@@ -33,7 +33,7 @@ def checked_action(space: spaces.Discrete, action: object) -> int:
 
 
 def checked_actions(space: spaces.Discrete, actions: ArrayLike, num_envs: int) -> NDArray[np.intp]:
-    """Validate a batch of discrete actions as an intp array of shape (num_envs,).
+    """Validate a batch of discrete actions as intp (num_envs,).
 
     Args:
         space: action space of one environment, starting at 0.

@@ -1,4 +1,4 @@
-"""A single environment as a batch of one, so that its rules exist only once."""
+"""A single environment as a batch of one, so that rules exist only once."""
 
 from __future__ import annotations
 
@@ -46,7 +46,7 @@ class BatchOfOne(gymnasium.Env[NDArray[Any], Any]):
         return observations[0], 0.0, bool(terminated[0]), False, self._named(info)
 
     def get_state(self) -> NDArray[Any]:
-        """A snapshot: array of shape (s,), defined in the environment's rules."""
+        """A snapshot: array (s,), defined in the environment's rules."""
         snapshot: NDArray[Any] = self._batch.get_states(_ROW)[0]
         return snapshot
 

@@ -32,7 +32,7 @@ def checked_count(num_envs: object) -> int:
 
 
 def checked_indices(indices: ArrayLike, num_envs: int) -> NDArray[np.intp]:
-    """Validate row indices as an intp array of shape (k,).
+    """Validate row indices as intp (k,).
 
     Raises:
         ValueError: if they are not one-dimensional integers in 0..num_envs-1.
@@ -49,7 +49,7 @@ def checked_indices(indices: ArrayLike, num_envs: int) -> NDArray[np.intp]:
 
 
 def checked_distinct_indices(indices: ArrayLike, num_envs: int) -> NDArray[np.intp]:
-    """Validate distinct row indices as an intp array of shape (k,).
+    """Validate distinct row indices as intp (k,).
 
     Raises:
         ValueError: see ``checked_indices``, and if a row occurs twice.
@@ -61,7 +61,7 @@ def checked_distinct_indices(indices: ArrayLike, num_envs: int) -> NDArray[np.in
 
 
 def rows_to_reset(options: Mapping[str, Any] | None, num_envs: int) -> NDArray[np.intp]:
-    """Row indices [k] selected by the option ``reset_mask`` of a batched reset; all rows without a mask.
+    """Row indices [k] selected by the option ``reset_mask`` of a batched reset, by default all.
 
     Raises:
         ValueError: if the mask is not a bool array of shape (num_envs,) or is all false, as in gymnasium's own vector
@@ -78,7 +78,7 @@ def rows_to_reset(options: Mapping[str, Any] | None, num_envs: int) -> NDArray[n
 
 
 def checked_snapshots(env: str, states: object, count: int, size: int, kind: str) -> NDArray[Any]:
-    """Check that snapshots are a finite array of shape (count, size); values keep their meaning unchecked.
+    """Check that snapshots are a finite array (count, size), but not what its values mean.
 
     Args:
         env: name of the environment, for the message.

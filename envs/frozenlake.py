@@ -1,4 +1,4 @@
-"""FrozenLake with passengers: N lakes stepped by vectorised numpy, and the single lake as a batch of one."""
+"""FrozenLake with passengers: N lakes in vectorised numpy, and a single one."""
 
 from __future__ import annotations
 

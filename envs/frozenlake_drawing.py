@@ -28,7 +28,7 @@ _TILE = 48  # pixels
 
 
 def render_lake(lake: Lake, state: NDArray[np.int64]) -> NDArray[np.uint8]:
-    """Render one state with its labels: uint8 array of shape (420, 384, 3)."""
+    """Render one state with its labels: uint8 (420, 384, 3)."""
     canvas = Canvas(SIDE * _TILE, SIDE * _TILE + LABEL_BAND_HEIGHT, WHITE)
     for cell in range(CELLS):
         _draw_tile(canvas, lake, cell)

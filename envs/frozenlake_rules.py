@@ -49,12 +49,12 @@ class Lake:
     Attributes:
         propositions: names of the label columns.
         tiles: the map as one string of 64 symbols.
-        start: int64 array of shape (7,), the state after a reset.
+        start: int64 (7,), the state after a reset.
         cell_after: flat table of the next cell, indexed by (64*ended + cell)*6 + action.
         ended_after: flat table of the next ``ended``, with the same index.
         hands_after: flat table of the next ``carrying``, indexed by ((6*ended + action)*4 + carrying)*4 + here, where
             ``here`` is the passenger on the agent's cell, or 0.
-        labels: bool array of shape (256, P), indexed by the agent index.
+        labels: bool (256, P), indexed by the agent index.
     """
 
     goals: int
@@ -130,8 +130,8 @@ def advance(lake: Lake, states: NDArray[np.int64], actions: NDArray[np.intp]) ->
 
     Args:
         lake: the rules.
-        states: array of shape (N, 7).
-        actions: array of shape (N,): 0..5 for left, down, right, up, pick, drop.
+        states: shape (N, 7).
+        actions: shape (N,): 0..5 for left, down, right, up, pick, drop.
     """
     cell, ended, carrying = states[:, CELL], states[:, ENDED], states[:, CARRYING]
     acting = ended * len(ACTIONS) + actions
@@ -149,7 +149,7 @@ def advance(lake: Lake, states: NDArray[np.int64], actions: NDArray[np.intp]) ->
 
 
 def label_rows(lake: Lake, states: NDArray[np.int64]) -> NDArray[np.bool_]:
-    """Labels of states (N, 7): bool array of shape (N, P), columns as in ``lake.propositions``."""
+    """Labels of states (N, 7): bool (N, P), columns as in ``lake.propositions``."""
     return lake.labels.take(states[:, CELL] * _HANDS + states[:, CARRYING], axis=0)
 
 
@@ -161,7 +161,7 @@ def _agent_features() -> NDArray[np.float32]:
 
 
 def _passenger_features() -> NDArray[np.float32]:
-    """Five numbers by agent's and passenger's cell, shape (64, 65, 5); the last passenger row, -1, means carried."""
+    """Five numbers by agent's and passenger's cell, (64, 65, 5); passenger cell -1 means carried."""
     agent = np.stack(np.divmod(np.arange(CELLS), SIDE), axis=-1)[:, None, :]
     passenger = np.concatenate([np.broadcast_to(agent[:, 0], (CELLS, CELLS, 2)), agent], axis=1)
     place = 2 * passenger / (SIDE - 1) - 1
@@ -180,7 +180,7 @@ def observe(states: NDArray[np.int64], observation: Observation) -> NDArray[np.f
     """Observations of states (N, 7), see ``envs.frozenlake.FrozenLakeEnv``.
 
     Returns:
-        A new array of shape (N, 83) for features, (N, 8) for raw.
+        A new array (N, 83) for features, (N, 8) for raw.
     """
     cell, carrying, passengers = states[:, CELL], states[:, CARRYING], states[:, FIRST_PASSENGER:]
     out = np.empty((len(states), OBSERVATION_SIZE[observation]), dtype=np.float32)
@@ -209,7 +209,7 @@ def observation_space(observation: Observation) -> spaces.Box:
 
 
 def checked_states(lake: Lake, snapshots: object, count: int) -> NDArray[np.int64]:
-    """Validate snapshots and copy them to states, an int64 array of shape (count, 7).
+    """Validate snapshots and copy them to states, int64 (count, 7).
 
     Raises:
         ValueError: if they are not integers of shape (count, 7), or one is not a state of this lake.

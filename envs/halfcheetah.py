@@ -85,7 +85,7 @@ class HalfCheetahEnv(gymnasium.Env[NDArray[Any], Any]):
         return self._observe(), {"labels": labels_at(self._positions.item(X))}
 
     def step(self, action: Any) -> tuple[NDArray[np.float32], float, bool, bool, dict[str, Any]]:
-        """Apply six torques, array of shape (6,).
+        """Apply six torques, shape (6,).
 
         Raises:
             ValueError: if ``action`` has the wrong shape or type, is NaN or not within +-1.

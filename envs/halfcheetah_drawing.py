@@ -1,4 +1,4 @@
-"""Renders HalfCheetah's side view from its body's capsules, without OpenGL, and with the markers."""
+"""Renders HalfCheetah's side view and markers from its capsules, without OpenGL."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ def render_side_view(
 ) -> NDArray[np.uint8]:
     """A map of all markers above a view that follows the body: uint8 array (356, 640, 3).
 
-    ``positions`` is qpos, array of shape (9,); ``labels`` are the true ``propositions``.
+    ``positions`` is qpos, shape (9,); ``labels`` are the true ``propositions``.
     """
     canvas = Canvas(_WIDTH, _MAP_HEIGHT + _VIEW_HEIGHT + LABEL_BAND_HEIGHT, (226, 238, 247))
     x = float(positions[0])

@@ -42,7 +42,7 @@ _FEATURES = 2 * _POSITIONS + 1 + len(MARKERS)
 
 @cache
 def load_model() -> Any:
-    """Gymnasium's half-cheetah as a ``mujoco.MjModel``, shared by all environments, since stepping only reads it."""
+    """Gymnasium's half-cheetah as a ``mujoco.MjModel``, shared, since stepping only reads it."""
     # Compiled from a spec, because loading the file directly logs a MuJoCo 4 deprecation to the current folder.
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")

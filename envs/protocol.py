@@ -36,7 +36,7 @@ class SnapshotEnv(Protocol):
     propositions: tuple[str, ...]
 
     def get_state(self) -> NDArray[Any]:
-        """A snapshot: array of shape (s,), a copy."""
+        """A snapshot: array (s,), a copy."""
         ...
 
     def set_state(self, state: NDArray[Any]) -> NDArray[np.float32]:
@@ -68,7 +68,7 @@ class SnapshotVectorEnv(Protocol):
     propositions: tuple[str, ...]
 
     def get_states(self, indices: ArrayLike) -> NDArray[Any]:
-        """Snapshots of the rows ``indices`` [k]: array of shape (k, s), a copy.
+        """Snapshots of the rows ``indices`` [k]: shape (k, s), a copy.
 
         Raises:
             ValueError: if an index is not an integer in 0..N-1.
@@ -79,7 +79,6 @@ class SnapshotVectorEnv(Protocol):
         """Restore snapshots (k, s) into the rows ``indices`` [k]; returns their observations (k, d).
 
         Raises:
-            ValueError: if an index is out of range or duplicate, or a row of ``states`` is not a snapshot of this
-                environment; no row is changed then.
+            ValueError: if an index is out of range or duplicate, or a snapshot is invalid; no row is changed then.
         """
         ...

@@ -76,7 +76,7 @@ class RacecarEnv(gymnasium.Env[NDArray[Any], Any]):
         return self._observe(), {"labels": self._labels}
 
     def step(self, action: Any) -> tuple[NDArray[np.float32], float, bool, bool, dict[str, Any]]:
-        """Apply two forces, array of shape (2,).
+        """Apply two forces, shape (2,).
 
         Raises:
             ValueError: if ``action`` has the wrong shape or type, is NaN or not within +-1.
@@ -88,7 +88,7 @@ class RacecarEnv(gymnasium.Env[NDArray[Any], Any]):
         return self._observe(), 0.0, False, False, {"labels": self._labels}
 
     def get_state(self) -> NDArray[np.float64]:
-        """A snapshot: float64 array of shape (10,), see ``envs.racecar_rules``."""
+        """A snapshot: float64 (10,), see ``envs.racecar_rules``."""
         return np.array(self._state)
 
     def set_state(self, state: NDArray[Any]) -> NDArray[np.float32]:
@@ -102,7 +102,7 @@ class RacecarEnv(gymnasium.Env[NDArray[Any], Any]):
         return self._observe()
 
     def render(self) -> NDArray[np.uint8] | None:
-        """The track and the labels, uint8 array of shape (536, 500, 3); None without a render mode."""
+        """The track and the labels, uint8 (536, 500, 3); None without a render mode."""
         if self.render_mode is None:
             return None
         from envs.racecar_drawing import render_track

@@ -18,7 +18,7 @@ def _pixels(x: float, y: float) -> tuple[float, float]:
 
 
 def render_track(state: list[float], propositions: tuple[str, ...], labels: frozenset[str]) -> NDArray[np.uint8]:
-    """Render one state with its labels: uint8 array of shape (536, 500, 3)."""
+    """Render one state with its labels: uint8 (536, 500, 3)."""
     canvas = Canvas(2 * _HALF_WIDTH, 2 * _HALF_WIDTH + LABEL_BAND_HEIGHT, DARK)
     inside = (*_pixels(-OUTER, OUTER), *_pixels(OUTER, -OUTER))
     canvas.rectangle(inside, fill=(238, 240, 242))

@@ -39,7 +39,7 @@ class Walls:
                 self._space.add(pymunk.Segment(self._space.static_body, a, b, 0.0))
 
     def met(self, old: Point, new: Point) -> bool:
-        """Whether the straight move from ``old``, on the track, to ``new`` crosses or touches a wall."""
+        """Whether the straight move from ``old``, on the track, to ``new`` meets a wall."""
         dx, dy = new[0] - old[0], new[1] - old[1]
         length = math.hypot(dx, dy)
         if length == 0:
@@ -49,7 +49,7 @@ class Walls:
 
 
 def on_track(x: float, y: float) -> bool:
-    """Whether a point is inside the square and outside the obstacle, with a margin for the walls' rounding."""
+    """Whether a point is inside the square and outside the obstacle, up to rounding."""
     half_angle = math.pi / OBSTACLE_SIDES
     from_edge_middle = math.atan2(y, x) % (2 * half_angle) - half_angle
     height = math.hypot(x, y) * math.cos(from_edge_middle)  # over the centre, across the nearest edge

@@ -100,6 +100,6 @@ class Canvas:
             self.text(self.width - 8 - 4 * len(note), middle, note, VERMILION)
 
     def to_array(self) -> NDArray[np.uint8]:
-        """The finished frame: uint8 array of shape (height, width, 3)."""
+        """The finished frame: uint8 (height, width, 3)."""
         smooth = self._image.resize((self.width, self.height), Image.Resampling.BOX)
         return np.array(smooth, dtype=np.uint8)

@@ -63,7 +63,7 @@ class SnapshotBatch(VectorEnv[NDArray[np.float32], NDArray[Any], NDArray[Any]], 
             Observations [N, d] and ``{"labels": bool [N, P]}`` of all rows.
 
         Raises:
-            ValueError: if the mask is not a bool array of shape (N,), or all false.
+            ValueError: if the mask is not bool (N,), or all false.
         """
         super().reset(seed=seed)
         self._start(rows_to_reset(options, self.num_envs), seed)
@@ -89,7 +89,7 @@ class SnapshotBatch(VectorEnv[NDArray[np.float32], NDArray[Any], NDArray[Any]], 
         return self._observe(), np.zeros(self.num_envs), terminated, truncated, {"labels": self._labels()}
 
     def get_states(self, indices: ArrayLike) -> NDArray[Any]:
-        """Snapshots of the rows ``indices`` [k]: array of shape (k, s), defined in the environment's rules.
+        """Snapshots of the rows ``indices`` [k]: shape (k, s), defined in the environment's rules.
 
         Raises:
             ValueError: if an index is not an integer in 0..N-1.
@@ -100,8 +100,7 @@ class SnapshotBatch(VectorEnv[NDArray[np.float32], NDArray[Any], NDArray[Any]], 
         """Restore snapshots (k, s) into the rows ``indices`` [k]; returns their observations (k, d).
 
         Raises:
-            ValueError: if an index is out of range or duplicate, or a row of ``states`` is not a snapshot of this
-                environment; no row is changed then.
+            ValueError: if an index is out of range or duplicate, or a snapshot is invalid; no row is changed then.
         """
         return self._restore(checked_distinct_indices(indices, self.num_envs), states)
 

@@ -1,4 +1,4 @@
-"""Waterworld: N ponds, moved by pymunk and observed together, and the single pond as a batch of one."""
+"""Waterworld: N ponds, moved by pymunk and observed together, and a single one."""
 
 from __future__ import annotations
 
@@ -143,6 +143,6 @@ class WaterworldEnv(BatchOfOne):
 
 
 def start_states(palette: Palette, choice: int | str, generators: Sequence[np.random.Generator]) -> NDArray[np.float64]:
-    """States after a reset, array of shape (4, N, balls + 1); ``choice`` is the keyword ``map``."""
+    """States after a reset, shape (4, N, balls + 1); ``choice`` is the keyword ``map``."""
     maps = [np.append(starting_balls(palette, choice, generator), START) for generator in generators]
     return to_states(np.stack(maps))

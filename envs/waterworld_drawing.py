@@ -26,7 +26,7 @@ _PAINT: dict[str, Colour] = {
 
 
 def render_pond(palette: Palette, state: NDArray[np.float64], labels: NDArray[np.bool_]) -> NDArray[np.uint8]:
-    """Render one state (4, balls + 1) with labels (colours,): uint8 array of shape (540, 504, 3)."""
+    """Render one state (4, balls + 1) with labels (colours,): uint8 (540, 504, 3)."""
     size = SIDE * _SCALE + 2 * _MARGIN
     canvas = Canvas(size, size + LABEL_BAND_HEIGHT, PALE)
     edges = (_MARGIN, _MARGIN, size - _MARGIN, size - _MARGIN)

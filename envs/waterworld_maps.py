@@ -74,12 +74,12 @@ def checked_map(choice: object) -> int | str:
 
 
 def paper_map(palette: Palette) -> NDArray[np.float64]:
-    """The paper's map: array of shape (balls, 4) with rows x, y, vx, vy."""
+    """The paper's map: shape (balls, 4) with rows x, y, vx, vy."""
     return np.concatenate([_pairs(text) for text in palette.paper_map], axis=1)
 
 
 def random_map(palette: Palette, generator: np.random.Generator) -> NDArray[np.float64]:
-    """A map with uniform integer positions and velocities: array of shape (balls, 4)."""
+    """A map with uniform integer positions and velocities: shape (balls, 4)."""
     shape = (palette.balls, 2)
     positions = generator.integers(0, SIDE, shape, endpoint=True)
     velocities = generator.integers(-palette.top_speed, palette.top_speed, shape, endpoint=True)
@@ -87,7 +87,7 @@ def random_map(palette: Palette, generator: np.random.Generator) -> NDArray[np.f
 
 
 def starting_balls(palette: Palette, choice: int | str, generator: np.random.Generator) -> NDArray[np.float64]:
-    """The balls at a reset: array of shape (balls, 4).
+    """The balls at a reset: shape (balls, 4).
 
     ``choice`` is the keyword ``map``; only "random" draws from ``generator``.
     """

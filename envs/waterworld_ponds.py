@@ -28,7 +28,7 @@ class Pond:
     shared space makes bulk reads worthwhile.
 
     Attributes:
-        states: x, y, vx, vy of the bodies after the last ``move``, or for the next ``write``: array of shape (4,
+        states: x, y, vx, vy of the bodies after the last ``move``, or for the next ``write``: shape (4,
             copies, balls + 1), a view of the batch.
     """
 
@@ -97,7 +97,7 @@ class Ponds:
     """N copies of Waterworld, and the rules of a step.
 
     Attributes:
-        states: float64 array of shape (4, N, balls + 1), the current states; read-only.
+        states: float64 (4, N, balls + 1), the current states; read-only.
     """
 
     def __init__(self, palette: Palette, count: int) -> None:
@@ -116,7 +116,7 @@ class Ponds:
         self._write(displaced)
 
     def touches(self) -> NDArray[np.bool_]:
-        """Colours that the agents touch now: bool array of shape (N, colours)."""
+        """Colours that the agents touch now: bool (N, colours)."""
         touches = np.zeros((self.states.shape[1], self._colours), dtype=np.bool_)
         for first, pond in zip(self._first_copies, self._ponds, strict=True):
             for copy, colour in pond.touched():
@@ -124,10 +124,10 @@ class Ponds:
         return touches
 
     def step(self, commands: NDArray[np.float64]) -> NDArray[np.bool_]:
-        """Step every copy by commanded velocities, array of shape (N, 2).
+        """Step every copy by commanded velocities, shape (N, 2).
 
         Returns:
-            Labels, bool array of shape (N, colours). Quirk: they describe the positions *before* the move, so the
+            Labels, bool (N, colours). Quirk: they describe the positions *before* the move, so the
             automaton is one step behind the observations.
         """
         labels = self.touches()

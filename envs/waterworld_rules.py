@@ -1,8 +1,8 @@
-"""Rules of Waterworld (tasks 1 and 2) on arrays of states: walls, commands, observations and snapshots.
+"""Rules of Waterworld (tasks 1 and 2) on arrays of states.
 
 ``envs.waterworld_ponds`` handles motion and touches.
 
-The states of N copies are an array of shape (4, N, balls + 1): planes x, y, vx, vy (numpy is fast along long axes) of
+The states of N copies are an array (4, N, balls + 1): planes x, y, vx, vy (numpy is fast along long axes) of
 the balls in colour order, then of the agent. A snapshot is a flat float64 row: x, y, vx, vy of each ball, then of the
 agent, 76 numbers for 18 balls, 100 for 24. The field is 30 by 30; velocities are per step.
 """
@@ -52,7 +52,7 @@ def reflect(states: NDArray[np.float64]) -> NDArray[np.bool_]:
     """Clamp positions at the walls and reverse the velocity there, per axis, in place.
 
     Returns:
-        The reversed axes, x and y, of states (4, ...): bool array of shape (2, ...).
+        The reversed axes, x and y, of states (4, ...): bool (2, ...).
     """
     positions, velocities = states[:2], states[2:]
     turned: NDArray[np.bool_] = (positions <= 0) | (positions >= SIDE)
@@ -69,11 +69,11 @@ def finish_move(states: NDArray[np.float64], commands: NDArray[np.float64]) -> N
     and the reversed velocity kept.
 
     Args:
-        states: array of shape (4, N, balls + 1).
-        commands: array of shape (N, 2), within +-3.5.
+        states: shape (4, N, balls + 1).
+        commands: shape (N, 2), within +-3.5.
 
     Returns:
-        Bool array of shape (N, balls + 1): bodies that reached a wall.
+        bool (N, balls + 1): bodies that reached a wall.
     """
     turned = reflect(states)
     agent = states[2:, :, AGENT]
@@ -157,7 +157,7 @@ def _touched(offsets: NDArray[np.float64], colours: int) -> NDArray[np.bool_]:
 
 
 def checked_states(palette: Palette, snapshots: object, count: int) -> NDArray[np.float64]:
-    """Validate snapshots and copy them to states, a float64 array of shape (4, count, balls + 1).
+    """Validate snapshots and copy them to states, float64 (4, count, balls + 1).
 
     Raises:
         ValueError: if they are not finite floats of shape (count, 4*(balls + 1)), or one has a position outside the

@@ -1,4 +1,4 @@
-"""Builds actors from weights, for evaluation and exported policies. Imports torch only when it builds one."""
+"""Builds actors from weights, for evaluation and exported policies. Imports torch lazily."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ class NormalisingActor:
 
 
 def make_actor(config: LearnerConfig, weights: Arrays) -> Actor:
-    """Build the actor of a learner or of an exported policy from its parameters.
+    """Build the actor of a learner or an exported policy.
 
     Raises:
         PolicyError: if parameters are missing or do not fit.

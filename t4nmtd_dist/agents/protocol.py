@@ -82,7 +82,7 @@ class AgentActor(Protocol):
 
 
 class PublishedValues(Protocol):
-    """A copy of the critic, queried by other threads during training or held by a peer."""
+    """A copy of the critic, for other threads or held by a peer."""
 
     def values(self, arrays: Mapping[str, NDArray[Any]]) -> tuple[Values, int]:
         """Values of the product states in a value request, and the copy's version.
@@ -131,7 +131,7 @@ class Learner(Protocol):
         """Number of peer transitions available to the learner now."""
 
     def learn_from(self, others: Mapping[str, ReplayBuffer]) -> None:
-        """Also learn from these peers' replay buffers, by pid; read again at every draw, the own pid skipped."""
+        """Also learn from these replay buffers, by pid; read at every draw, the own pid skipped."""
 
     @property
     def published(self) -> PublishedValues:
@@ -162,7 +162,7 @@ class Learner(Protocol):
         """
 
     def load_state_dict(self, state: State) -> None:
-        """Resume exactly from a ``state_dict()`` of a learner with the same sub-task and settings.
+        """Resume exactly from the ``state_dict()`` of a learner with the same sub-task and settings.
 
         Raises:
             RunError, PolicyError: if the state has other shapes.

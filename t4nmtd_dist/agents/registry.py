@@ -1,4 +1,4 @@
-"""Builds a learner from a compiled task: environments, rollout, and the agent named in the settings."""
+"""Builds a learner from a compiled task: environments, rollout, and agent."""
 
 from __future__ import annotations
 
@@ -37,8 +37,7 @@ def build_learner(
 
     Raises:
         EnvError: if the environment cannot be opened, or its spaces or propositions do not fit.
-        ConfigError: if the algorithm does not exist or is still ``"auto"``, which ``environments.preparation.prepared``
-            resolves.
+        ConfigError: if the algorithm does not exist or is still ``"auto"`` (see ``environments.preparation.prepared``).
     """
     config = task.config
     agent = builder_module(config.learner.algorithm)

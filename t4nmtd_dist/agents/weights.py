@@ -23,14 +23,14 @@ def part_of(arrays: Arrays, part: str) -> Weights:
 
 
 def acting_part(names: Iterable[str]) -> str:
-    """The part of a learner's parameters that acts: ``average`` if it has one, else ``actor``."""
+    """The acting part of a learner's parameters: ``average`` if present, else ``actor``."""
     return "average" if any(name.startswith("average.") for name in names) else "actor"
 
 
 def acting_parameters(weights: Arrays) -> Weights:
-    """Parameters of the actor that is evaluated and exported (the average, if kept), named ``actor.*``.
+    """Parameters of the evaluated and exported actor (the average, if kept), named ``actor.*``.
 
-    Includes the observation statistics if the learner normalises observations.
+    Includes the observation statistics, if any.
     """
     kept = part_of(weights, acting_part(weights))
     kept |= {name: array for name, array in weights.items() if name.startswith("normalisation.")}

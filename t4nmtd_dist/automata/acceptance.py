@@ -1,8 +1,8 @@
 """When a trace is accepted: at the first accepting state, or at the end of the episode.
 
 A task is *co-safe* if acceptance cannot be lost, so the episode may end at the first accepting state. Any other task
-has standard LTLf semantics: the trace ends with the episode. The proposition ``last``, true on an episode's last step,
-makes such a task co-safe too, so no other code distinguishes the two.
+has standard LTLf semantics: the trace ends with the episode. The proposition ``last``, true on the last step, makes
+such a task co-safe too, so no other code distinguishes the two.
 """
 
 from __future__ import annotations

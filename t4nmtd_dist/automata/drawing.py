@@ -37,7 +37,7 @@ def draw_svg(dfa: DFA, groups: Groups, colours: Mapping[str, str] | None = None)
 
     Args:
         dfa: the task automaton.
-        groups: transitions by group name, such as the sub-tasks of a decomposition.
+        groups: transitions by group name, such as sub-tasks.
         colours: an SVG colour per group; None for ``group_colours``.
 
     Returns:

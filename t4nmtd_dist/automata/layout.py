@@ -1,8 +1,7 @@
 """Graph layout of an automaton: states in columns, edges as bowed curves.
 
-A state's column is the longest path that leads to it; a strongly connected component shares a column. Within a column,
-the order keeps neighbours level. Every edge takes the smallest bow that avoids states and drawn edges. Lengths are
-pixels, y points down.
+A state's column is the longest path to its strongly connected component. Within a column, the order keeps neighbours
+level. Every edge takes the smallest bow that avoids states and drawn edges. Lengths are pixels, y points down.
 """
 
 from __future__ import annotations
@@ -99,10 +98,7 @@ def route(transitions: Iterable[Transition], position: Mapping[int, Points]) -> 
 def free_directions(at: Points, curves: Iterable[Curve], prefer: tuple[int, ...] = DIRECTIONS) -> list[Points]:
     """Unit vectors out of a state, the least crowded by curves first.
 
-    Args:
-        at: the state's position.
-        curves: from ``route``.
-        prefer: directions in degrees, clockwise from the right; the earlier wins a tie.
+    ``prefer`` gives directions in degrees, clockwise from the right; the earlier wins a tie.
     """
     points = np.concatenate([np.empty((0, 2)), *(curve.at(np.linspace(0, 1, 40)) for curve in curves)])
     angles = np.radians(prefer)

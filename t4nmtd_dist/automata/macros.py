@@ -13,7 +13,7 @@ def strict_then(colours: Sequence[str], watched: Sequence[Collection[str]] | Non
 
     Args:
         colours: propositions to meet in order, at least one.
-        watched: for each stage, propositions that must not hold before its colour; by default all colours.
+        watched: per stage, propositions forbidden before its colour; by default all colours.
 
     Raises:
         ValueError: if there is no colour, or not one collection of watched propositions per colour.

@@ -1,4 +1,4 @@
-"""LTLf to automaton by MONA: LTLf2DFA writes the program; this module parses MONA's transition table."""
+"""LTLf to automaton by MONA: LTLf2DFA writes the program, this module parses the transition table."""
 
 from __future__ import annotations
 

@@ -85,7 +85,7 @@ class DecompositionConfig:
 
 @dataclass(frozen=True)
 class HighLevelConfig:
-    """Step size and exploration of Q(q, T) and E(Q, q), and whether to discount by a decision's length."""
+    """Step size, exploration and discounting of Q(q, T) and E(Q, q)."""
 
     alpha: Share = 0.1
     epsilon: Share = 0.1
@@ -287,7 +287,7 @@ def _nearest(key: str, known: Mapping[str, Any], path: tuple[str, ...]) -> str:
 
 
 def former_key(path: tuple[str, ...]) -> str:
-    """A sentence that names the replacement of an earlier version's key; empty for any other key."""
+    """A sentence naming the replacement of a former key; empty for others."""
     section, key = path[0], path[-1]
     dotted = ".".join(path)
     table = agent_settings(section).former_keys if section in AGENTS.modules and len(path) == 2 else FORMER_KEYS

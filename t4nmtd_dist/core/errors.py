@@ -37,7 +37,7 @@ class LeaseError(T4NMTDError):
 
 
 class ImportNameError(T4NMTDError):
-    """A foreign module that Python imports under the name of one of our packages."""
+    """A foreign module imported under the name of one of our packages."""
 
 
 class RunError(T4NMTDError):

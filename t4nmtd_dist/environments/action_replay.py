@@ -14,7 +14,7 @@ from t4nmtd_dist.environments.serialization import padded, reseed, unpadded
 
 
 class ActionReplay:
-    """Snapshot of a seed and the actions since; restoring resets the environment and replays them.
+    """A seed and the actions since; restoring resets the environment and replays them.
 
     Episodes are cut after ``horizon`` steps, which keeps snapshots at one size. Reseeding is recorded too.
 

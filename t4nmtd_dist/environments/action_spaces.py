@@ -1,4 +1,4 @@
-"""Action spaces that agents support: Discrete, or a bounded real vector, as each agent declares."""
+"""Action spaces that agents support: Discrete, or a bounded real vector."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Diagnoses a task's environment under random actions: reports, endings, and fit with the task."""
+"""Diagnoses a task's environment under random actions."""
 
 from __future__ import annotations
 

@@ -27,8 +27,8 @@ class Suggestion:
 
     Attributes:
         true_steps: steps on which each held.
-        expected_together: expected number of steps with a pair if the propositions were independent; if small, seeing
-            none means little.
+        expected_together: expected number of steps with a pair if they were independent; if small, seeing none means
+            little.
         states_before, transitions_before: of the automaton with the declared groups.
         states, transitions: with this group as well.
         acceptance: of the task with the declared groups.

@@ -1,4 +1,4 @@
-"""Opens N copies of a task's environment: vectorised if possible, else in a loop."""
+"""Opens N copies of a task's environment, vectorised if possible."""
 
 from __future__ import annotations
 

@@ -14,10 +14,9 @@ from t4nmtd_dist.tasks.given import is_given
 def code_named(config: EnvironmentConfig) -> list[str]:
     """Code that opening the environment would import or call; empty if none of it can be foreign.
 
-    It cannot be for bundled ids and plain ids, which gymnasium opens only if an installed package registered them. A
-    plain id with strings among its options counts as naming code, since installed environments accept module and file
-    names (shimmy's ``env_id = "module:id"``, MuJoCo's ``xml_file``). Objects of this process (``tasks.given``) are the
-    user's own.
+    Bundled ids name none, nor do plain ids, which gymnasium opens only if an installed package registered them. But a
+    plain id with strings among its options counts, since installed environments accept module and file names (shimmy's
+    ``env_id = "module:id"``, MuJoCo's ``xml_file``). Objects of this process (``tasks.given``) are the user's own.
 
     Returns:
         ``setting = value`` strings, with non-printable characters escaped.

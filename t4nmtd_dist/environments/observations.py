@@ -28,7 +28,7 @@ MOST_ONE_HOT = 512
 
 @dataclass(frozen=True)
 class Part:
-    """The part of the vector for a Dict entry, or for the whole of another observation.
+    """The vector's part for a Dict entry, or the whole of another observation.
 
     Attributes:
         name: for messages: ``observation``, or ``observation['image']``.

@@ -1,4 +1,4 @@
-"""Opens a task's environment: a registered id, ``module:id``, ``module:callable``, or an object of the process."""
+"""Opens a task's environment: a registered id, ``module:id``, ``module:callable``, or a given object."""
 
 from __future__ import annotations
 
@@ -26,12 +26,12 @@ Spec = gym.envs.registration.EnvSpec
 def open_environment(config: EnvironmentConfig, *, render_mode: str | None = None) -> Env:
     """Open one environment as the task file describes it.
 
-    Keeps the wrappers of a registration, but not those added by ``gymnasium.make``: the time limit (replaced by the
-    task's ``horizon`` and the learner's attempts) and two checkers. A callable's result is used unchanged.
+    Keeps the wrappers of a registration, but not those added by ``gymnasium.make``: two checkers and the time limit,
+    which the task's ``horizon`` and the learner's attempts replace.
 
     Args:
         config: the section ``[environment]``.
-        render_mode: passed to the constructor, or to the callable if it takes that keyword.
+        render_mode: passed to the constructor, or to a callable that takes it.
 
     Raises:
         EnvError: if the environment is unknown, cannot be imported, rejects its options, or cannot be rendered.

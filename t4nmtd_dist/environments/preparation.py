@@ -41,7 +41,7 @@ def prepared(task: CompiledTask) -> CompiledTask:
 
 
 def _asks_for_more(config: TaskConfig) -> bool:
-    """Whether a bundled task was changed in what it requires of its environment."""
+    """Whether a bundled task requires more of its environment."""
     known = load_task(config.name)
     return (config.learner.algorithm, config.formula, config.propositions) != (
         known.learner.algorithm,
@@ -83,7 +83,7 @@ def _checked(task: CompiledTask) -> CompiledTask:
 
 
 def check_fit(task: CompiledTask, propositions: tuple[str, ...], action_space: object) -> None:
-    """Check that the environment reports the formula's propositions and that the learner can act in it.
+    """Check that the environment reports the formula's propositions and suits the learner.
 
     Raises:
         EnvError: if not.

@@ -33,7 +33,7 @@ class Snapshots(Protocol):
         """Reset the environment; returns its observation."""
 
     def acted(self, action: Any, observation: Vector) -> bool:
-        """Record a step; True if the record is full and the episode must be cut."""
+        """Record a step; True if the episode must be cut because the record is full."""
 
     def get(self) -> NDArray[Any]:
         """A snapshot of the current state."""

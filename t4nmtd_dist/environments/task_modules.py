@@ -1,8 +1,8 @@
 """Imports modules named by a task file, even if they share a name with ours: ``envs``, ``workers``, ``coordinator``.
 
-The task's folder comes first on Python's path, so its modules usually have their plain names. If a plain name would
-give another module (ours, or one already imported), the file is loaded under a private name: ``_t4nmtd_task_<folder's
-hash>.<name>``, a package whose path is the task's folder (docs/decisions/021).
+The task's folder comes first on Python's path, so its modules usually have their plain names. A module shadowed by ours
+or an imported one is loaded under a private name: ``_t4nmtd_task_<folder's hash>.<name>``, a package whose path is the
+task's folder (docs/decisions/021).
 """
 
 from __future__ import annotations

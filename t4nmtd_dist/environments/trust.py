@@ -1,7 +1,7 @@
 """Asks for the user's consent before foreign code is imported.
 
-A task file named by the user is trusted and remembered. A policy, a resumed run or a coordinator may be foreign: the
-code they name is imported only if it is remembered or the user consents.
+A task file named by the user is trusted and remembered. Code named by a policy, a resumed run or a coordinator may be
+foreign: it is imported only if remembered or with consent.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ def require_trust(
         config: the section ``[environment]`` that names the code.
         source: its origin, to begin a sentence: ``the policy in X``.
         given: whether the user passed ``--trust``.
-        ask: whether to ask the user at a terminal.
+        ask: whether to ask at a terminal.
         otherwise: alternative to ``--trust``, for the message.
 
     Raises:

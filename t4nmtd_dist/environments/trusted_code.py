@@ -38,7 +38,7 @@ def remember(config: EnvironmentConfig) -> None:
 
 
 def is_remembered(config: EnvironmentConfig) -> bool:
-    """Whether this user has run this code before; False if the records are unreadable or not the user's."""
+    """Whether this user has run this code before; False if the records are unreadable or foreign."""
     try:
         folder = _folder()
         _check_private(folder)

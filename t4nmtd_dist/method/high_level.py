@@ -44,7 +44,7 @@ class QTable:
         return self._values.get((q, pid), -math.inf)
 
     def best(self, q: int) -> float:
-        """Max over sub-tasks of Q(q, .); 0 in F and E and where all entries are unknown."""
+        """Max over sub-tasks of Q(q, .); 0 in F and E and if all are unknown."""
         if q in self._terminal:
             return 0.0
         known = [self.value(q, pid) for pid in self._decomposition.available(q)]

@@ -1,4 +1,4 @@
-"""The method protocol: a task's policies, where they start and end, and whose value they bootstrap from.
+"""The method protocol: a task's policies, their starts, ends and bootstrap values.
 
 A method is a module with the functions of ``MethodModule``, listed in ``t4nmtd_dist.core.registry.METHODS`` and
 selected by ``learner.method``.
@@ -31,7 +31,7 @@ Mask = NDArray[np.bool_]
 
 
 class Ending(IntEnum):
-    """What a role does after a step: continue, hand over to the role ``choose`` names, or begin a new attempt."""
+    """What a role does after a step: continue, leave the choice to ``choose``, or restart."""
 
     KEEP = 0
     CHOOSE = 1

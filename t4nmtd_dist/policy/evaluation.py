@@ -1,4 +1,4 @@
-"""Evaluates the global policy in greedy or sampled episodes from the true reset; no training."""
+"""Evaluates the global policy in greedy or sampled episodes from the true reset."""
 
 from __future__ import annotations
 
@@ -84,7 +84,7 @@ class Evaluator:
     def steps(
         self, policy: GlobalPolicy, *, perturb: int = 0, actions: ActionMode | None = None
     ) -> Generator[None, None, EvaluationResult]:
-        """``run`` as a generator, one yield per step, for interleaving with other work; returns the result."""
+        """``run`` as a generator that yields once per step, for interleaving with other work."""
         rows = np.arange(self._env.count)
         if perturb:
             observations, q, redrawn = self._perturbed_starts(policy, perturb)
@@ -94,13 +94,13 @@ class Evaluator:
         return (yield from self._episodes(policy, observations, q, redrawn, sampling))
 
     def state_dict(self) -> State:
-        """State that determines the starts and sampled actions of the next evaluations, for a checkpoint."""
+        """State of the starts and sampled actions of the next evaluations, for a checkpoint."""
         env = self._env.state_dict() if self._seeded else None
         generators = {"rng": self._rng.bit_generator.state, "sampling": self._sampling.bit_generator.state}
         return {**generators, "seeded": self._seeded, "env": env}
 
     def load_state_dict(self, state: State) -> None:
-        """Restore from the ``state_dict`` of an evaluator with the same task and number of episodes."""
+        """Restore from the ``state_dict`` of an evaluator with the same task and ``episodes``."""
         self._rng.bit_generator.state, self._seeded = state["rng"], state["seeded"]
         if "sampling" in state:  # older checkpoints have none
             self._sampling.bit_generator.state = state["sampling"]

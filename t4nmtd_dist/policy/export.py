@@ -1,7 +1,7 @@
 """Files of an exported policy, replaced while others may read them; used by ``t4nmtd_dist.policy.load``.
 
-A new export is written under another name and renamed when complete. A reader opens the folder first and reads both
-files from it, so that they match, and retries if they were replaced meanwhile.
+A new export is written under another name and renamed when complete. A reader opens the folder first, so that both
+files match, and retries if they were replaced meanwhile.
 """
 
 from __future__ import annotations
@@ -47,9 +47,9 @@ def export_policy(
         folder: the destination.
         task: the compiled task.
         q_table: known entries of Q(q, T).
-        weights: all parameters by pid; only those of the acting actors are kept.
-        about: its origin (interactions, versions, seed), for readers.
-        mode: default action mode: the one it was evaluated in.
+        weights: parameters by pid; only those of the acting actors are kept.
+        about: its origin (interactions, versions, seed).
+        mode: action mode it was evaluated in.
 
     Raises:
         OSError: if it cannot be written.

@@ -155,7 +155,7 @@ class GlobalPolicy:
         The first labels after ``reset`` are ignored: a trace begins with the first step.
 
         Args:
-            observation: numbers of a Box of any shape; pass one-hot and Dict observations through
+            observation: numbers of a Box; pass one-hot and Dict observations through
                 ``environments.observations.flattener`` first.
             labels: names of the true propositions.
             actions: ``greedy`` or ``sampled``; None for the policy's own mode.
@@ -189,7 +189,7 @@ class GlobalPolicy:
 
         Args:
             labels: names of the true propositions after that step.
-            ended: whether the environment ended the episode; the task's horizon is detected automatically.
+            ended: whether the environment ended the episode; the horizon is detected automatically.
         """
         return self._after(labels, ended=ended) in self.dfa.accepting
 

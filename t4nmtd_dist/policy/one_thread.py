@@ -1,4 +1,4 @@
-"""One torch thread for small forward passes: more threads only wait for each other, above all on a busy machine."""
+"""One torch thread for small forward passes, where more would only wait for each other."""
 
 from __future__ import annotations
 

@@ -1,8 +1,7 @@
 """Registry of Python objects that a task uses instead of importable functions.
 
-An environment or labelling function from a notebook or the running script cannot be imported by name. ``Task``
-registers it here and writes ``python:NAME`` into the settings. The registry belongs to the process: forked processes
-inherit it, all others refuse such a task.
+Functions from a notebook or the running script cannot be imported by name. ``Task`` registers them here and writes
+``python:NAME`` into the settings. Forked processes inherit the registry; all others refuse such a task.
 """
 
 from __future__ import annotations
@@ -37,7 +36,7 @@ def is_given(setting: str) -> bool:
 
 
 def same_code(one: str, other: str) -> bool:
-    """Whether two settings name the same code, or functions of one name, such as a notebook cell run twice."""
+    """Whether two settings name the same code, or functions of one name."""
     return one == other or (is_given(one) and is_given(other) and _plain(one) == _plain(other))
 
 

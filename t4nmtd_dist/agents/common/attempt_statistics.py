@@ -42,12 +42,12 @@ class AttemptStatistics:
 
     @property
     def recent_success(self) -> float | None:
-        """Success rate of the recent attempts; None before the first one ended."""
+        """Success rate of the recent attempts; None before the first."""
         return float(np.mean([success for success, _ in self._recent])) if self._recent else None
 
     @property
     def recent_length(self) -> float | None:
-        """Mean length of the recent attempts in steps; None before the first one ended."""
+        """Mean length of the recent attempts in steps; None before the first."""
         return float(np.mean([steps for _, steps in self._recent])) if self._recent else None
 
     @property
@@ -61,7 +61,7 @@ class AttemptStatistics:
         return [self.attempts, self.successes, *vars(self.endings).values()]
 
     def load(self, counts: Iterable[int], recent: Iterable[tuple[bool, int]]) -> None:
-        """Restore ``counts`` and ``recent`` from a checkpoint; counts of an earlier format lack the endings."""
+        """Restore ``counts`` and ``recent``; older counts lack the endings."""
         self.attempts, self.successes, *endings = counts
         self.endings = Endings(*endings)
         self._recent.clear()

@@ -1,4 +1,4 @@
-"""Draws an off-policy agent's batches from its own and its peers' replay, relabelled for its sub-task."""
+"""Draws an off-policy agent's batches from own and peers' replay, relabelled for its sub-task."""
 
 from __future__ import annotations
 

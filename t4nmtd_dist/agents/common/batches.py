@@ -37,7 +37,7 @@ class Batch:
 
 @dataclass(frozen=True)
 class DrawnBatch:
-    """A drawn batch waiting for its update, as plain data; B rows, k of them across a boundary.
+    """A drawn batch waiting for its update; B rows, k of them across a boundary.
 
     Attributes:
         number: number of gradient steps before it.

@@ -31,7 +31,7 @@ class BatchesAhead:
         self._observation_size = observation_size
         self.drawn: deque[DrawnBatch] = deque()
         self._first = 0  # number of the next batch
-        self._asked = 0  # batches of smaller numbers have been asked about
+        self._asked = 0  # peers were queried about batches with smaller numbers
 
     def next(self, draw: Callable[[int], DrawnBatch], peers: PeerCritics) -> tuple[DrawnBatch, PeerValues]:
         """Pop the oldest batch and its answers, after refilling the queue with ``draw(number)`` and querying peers."""

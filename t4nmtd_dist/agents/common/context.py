@@ -77,7 +77,7 @@ class AgentContext:
         return action_bounds(self.action_space, self.task.config.environment.id, self.settings.algorithm.upper())
 
     def rng(self) -> np.random.Generator:
-        """A generator seeded with the learner's seed; each call returns a new one in the same state."""
+        """A generator with the learner's seed; each call returns a new one."""
         return np.random.default_rng([self.seed, 1])
 
     def normalisation(self) -> Normalisation:

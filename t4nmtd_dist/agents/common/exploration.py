@@ -23,11 +23,7 @@ def driven_share(share: float, success: float) -> float:
 class SinusoidExploration:
     """Drives some attempts with sinusoids: one frequency per attempt, a random phase per action.
 
-    Args:
-        count: number of environments.
-        action_size: A.
-        share: share of driven attempts at success rate 0 (``driven_share``).
-        rng: random generator.
+    Arguments as for ``Exploration``.
     """
 
     def __init__(self, count: int, action_size: int, share: float, rng: np.random.Generator) -> None:
@@ -58,7 +54,7 @@ class SinusoidExploration:
         return {"driven": self._driven, "frequency": self._frequency, "phase": self._phase, "time": self._time}
 
     def drive(self, actions: NDArray[np.float32]) -> NDArray[np.float32]:
-        """Actions [N, A] in [-1, 1] to take: the policy's, or the sinusoid's in driven attempts."""
+        """The policy's actions [N, A] in [-1, 1], or the sinusoid's in driven attempts."""
         waves = np.sin(2 * np.pi * self._frequency * self._time + self._phase)
         self._time += 1
         driven: NDArray[np.float32] = np.where(self._driven[:, None], waves, actions).astype(np.float32)
@@ -70,13 +66,7 @@ class HeldActionExploration:
 
     Temporally extended epsilon-greedy (Dabney et al., 2021). The policy keeps the attempt alive in between; held
     actions reach states that per-step noise would not. In a step without one, a held action starts with probability 0.1
-    and lasts 1 to 20 steps.
-
-    Args:
-        count: number of environments.
-        action_size: A.
-        share: share of interrupted attempts at success rate 0 (``driven_share``).
-        rng: random generator.
+    and lasts 1 to 20 steps. Arguments as for ``Exploration``.
     """
 
     def __init__(self, count: int, action_size: int, share: float, rng: np.random.Generator) -> None:
@@ -92,7 +82,7 @@ class HeldActionExploration:
         self._left[rows] = 0
 
     def drive(self, actions: NDArray[np.float32]) -> NDArray[np.float32]:
-        """Actions [N, A] in [-1, 1] to take: the policy's, or the held ones."""
+        """The policy's actions [N, A] in [-1, 1], or the held ones."""
         rng = self._rng
         taken_up = self._interrupted & (self._left == 0) & (rng.random(len(self._left)) < HOLD_CHANCE)
         rows = np.flatnonzero(taken_up)
@@ -119,8 +109,8 @@ class HeldActionExploration:
 class Exploration:
     """Held actions, sinusoids, both or none, each in the same share of attempts.
 
-    Each kind selects attempts independently; sinusoids take precedence. A disabled kind has share 0 but still draws
-    random numbers, so that all choices see the same sequence.
+    Each kind selects attempts independently; sinusoids take precedence. A disabled kind still draws random numbers, so
+    that all choices see the same sequence.
 
     Args:
         kinds: ``held+sinusoid``, ``held``, ``sinusoid`` or ``none``.

@@ -47,7 +47,7 @@ class FlatAdam:
 
     @classmethod
     def of_module(cls, module: nn.Module, learning_rate: float, epsilon: float = 1e-8) -> FlatAdam:
-        """Adam over all parameters of a module; parameters and gradients become views of flat tensors."""
+        """Adam over a module's parameters; these and their gradients become views of flat tensors."""
         parameters = list(module.parameters())
         flat = torch.cat([parameter.detach().view(-1) for parameter in parameters])
         adam = cls(flat, learning_rate, epsilon, [parameter.numel() for parameter in parameters])

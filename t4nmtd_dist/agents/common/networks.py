@@ -15,7 +15,7 @@ from t4nmtd_dist.core.errors import PolicyError
 
 
 def mlp(inputs: int, hidden: Sequence[int], outputs: int, *, last_gain: float) -> nn.Sequential:
-    """A tanh MLP with orthogonal initialisation: gain sqrt(2) in hidden layers, ``last_gain`` in the last."""
+    """A tanh MLP with orthogonal initialisation: gain sqrt(2), and ``last_gain`` in the last layer."""
     layers: list[nn.Module] = []
     for width in hidden:
         layers += [_linear(inputs, width, 2**0.5), nn.Tanh()]

@@ -71,7 +71,7 @@ class Normalisation:
         self._scale = np.where(known, 1.0 / np.sqrt(variances + EPSILON), 1.0)
 
     def apply(self, observations: Observations) -> Observations:
-        """Normalised observations, float32 [N, d]; the input array itself if no entry is normalised."""
+        """Normalised observations, float32 [N, d]; the input itself if not active."""
         if not self.active:
             return observations
         normal: Observations = np.clip((observations - self._shift) * self._scale, -LIMIT, LIMIT).astype(np.float32)
@@ -85,7 +85,7 @@ class Normalisation:
         return np.concatenate([self.apply(states[:, :size]), states[:, size:]], axis=1)
 
     def weights(self) -> Weights:
-        """Copies of the statistics, named ``normalisation.*``, as part of a learner's weights; empty if not active."""
+        """Copies of the statistics, named ``normalisation.*``, for a learner's weights; empty if not active."""
         if not self.active:
             return {}
         named = {

@@ -1,4 +1,4 @@
-"""The learner shared by off-policy agents: acts, stores transitions, and trains with peers' values."""
+"""The learner shared by off-policy agents: acts, stores transitions, and trains."""
 
 from __future__ import annotations
 
@@ -30,12 +30,11 @@ STEPS_PER_ITERATION = 10  # per environment, between two messages to the coordin
 class OffPolicyAgent(Protocol):
     """The algorithm-specific part of an off-policy learner.
 
-    Intended loop::
+    Intended use::
 
-        while True:
-            actions = agent.act(states, begun, success)
-            experience.add(..., actions, *step(agent.environment_actions(actions)))
-            agent.update(batch, answers, success)
+        actions = agent.act(states, begun, success)
+        experience.add(..., actions, *step(agent.environment_actions(actions)))
+        agent.update(batch, answers, success)
     """
 
     action_size: int
@@ -65,10 +64,10 @@ class OffPolicyAgent(Protocol):
         """
 
     def values(self, states: Floats) -> Values:
-        """Bootstrap values for a peer in the same process at product states [k, d + |Q|]."""
+        """Bootstrap values at product states [k, d + |Q|], for a peer in this process."""
 
     def critic_weights(self) -> Weights:
-        """Copies of the weights behind ``values``, as the agent's ``critic`` loads them."""
+        """Copies of the weights behind ``values``, for ``critic``."""
 
     def critic(self) -> Critic:
         """A critic of the same shape, on the CPU."""
@@ -117,7 +116,7 @@ class OffPolicyLearner:
         self.peer_steps = self._steps_of_each_peer()
         self._ahead = BatchesAhead(context.observation_size)
         self._begun = np.ones(count, np.bool_)
-        self._owed = 0.0  # updates
+        self._owed = 0.0  # due updates
         self.published = self.replica()
         self.value_shape = agent.value_shape
         self.gradient_steps = 0

@@ -77,7 +77,7 @@ class PublishedCritic:
             self._version = version
 
     def values(self, arrays: Arrays) -> tuple[Values, int]:
-        """Values for a value request (``observation`` [k, d], ``q`` [k]), and the copy's version.
+        """Values for a value request (``observation`` [k, d], ``q`` [k]), and their version.
 
         Raises:
             ProtocolError: if ``observation`` is not finite float32 [k, d] or ``q`` not [k] states of the DFA.

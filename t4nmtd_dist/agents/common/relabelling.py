@@ -22,11 +22,12 @@ class Reading:
 
     Attributes:
         states: product states [B, d + |Q|].
+        actions: [B, A].
         rewards: scaled n-step returns [B].
         discounts: of the bootstrap, 0 at terminals [B].
-        next_states: product states of the bootstrap [B, d + |Q|].
+        next_states: bootstrap product states [B, d + |Q|].
         q_next: their DFA states [B].
-        boundary: whether the DFA state changed to one outside F and E [B].
+        boundary: DFA change to a state outside F and E [B].
     """
 
     states: Floats

@@ -47,10 +47,10 @@ class Returns:
 
 
 class RowSet:
-    """A set of rows to sample from, with constant-time insertion and removal of a row.
+    """A set of rows to sample from; adding or removing a row takes constant time.
 
     Args:
-        rows: number of rows that exist.
+        rows: number of existing rows.
     """
 
     def __init__(self, rows: int) -> None:
@@ -96,7 +96,7 @@ class ReplayBuffer:
         action_size: A.
 
     Attributes:
-        origin: unique per object, so that a reader notices when the buffer is replaced.
+        origin: unique per object, so that readers notice a replaced buffer.
     """
 
     def __init__(self, steps: int, count: int, observation_size: int, action_size: int) -> None:
@@ -193,14 +193,14 @@ class ReplayBuffer:
         return {name: getattr(self, name) for name in SHARED}
 
     def leading_to(self, step: int, copy: int) -> Indices:
-        """Rows of the last steps of an attempt up to ``step``, latest first, without overwritten ones."""
+        """Kept rows of the last steps of an attempt up to ``step``, latest first."""
         kept = min(self._written, self.steps) - (self._written - 1 - step)
         rows = (step - np.arange(min(BEFORE_SUCCESS, kept))) % self.steps * self._count + copy
         earlier_attempt = np.flatnonzero(self.ended[rows[1:]])
         return rows[: earlier_attempt[0] + 1] if len(earlier_attempt) else rows
 
     def sample(self, size: int, success_share: float, rng: np.random.Generator) -> Indices:
-        """Draw row numbers [size]: a share from the steps before successes, if any, the rest uniformly."""
+        """Draw row numbers [size]: a share from before successes, if any, the rest uniformly."""
         rows = rng.integers(len(self), size=size)
         wanted = round(size * success_share)
         if wanted and len(self._before_success):
@@ -212,7 +212,7 @@ class ReplayBuffer:
     ) -> Returns:
         """n-step returns of ``rows`` read in DFA states ``q``.
 
-        A return ends early at a DFA change and at the end of the attempt, the environment's episode or the ring.
+        They end early at a DFA change and at the end of the attempt, the episode or the ring.
         """
         size = len(rows)
         reward, discount = np.zeros(size), np.ones(size)

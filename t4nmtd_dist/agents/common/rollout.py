@@ -100,7 +100,7 @@ class Rollout:
         self.statistics = AttemptStatistics()
 
     def report_to(self, tell: Callable[[str], None]) -> None:
-        """Send the message about the first start state that cannot be restored to ``tell``."""
+        """Pass ``tell`` a message about the first start state that cannot be restored."""
         self._restarts.tell = tell
 
     def take_progress(self) -> Progress:
@@ -210,7 +210,7 @@ class Rollout:
         }
 
     def load_state_dict(self, state: State) -> None:
-        """Restore from the ``state_dict`` of a rollout with the same role and number of environments."""
+        """Restore from the ``state_dict`` of a rollout with the same role and size."""
         for name, column in self._columns().items():
             column[:] = state["columns"][name]
         self._begun = state["begun"]

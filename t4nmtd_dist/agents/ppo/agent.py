@@ -39,9 +39,10 @@ def build(context: AgentContext) -> PPOLearner:
 
 
 class PPOLearner:
-    """Acts in all attempts of a sub-task and learns from one trajectory at a time.
+    """Learns a sub-task from one trajectory at a time.
 
     Attributes:
+        network: actor and critic.
         trajectory: the last one.
     """
 

@@ -42,10 +42,10 @@ def generalised_advantages(
     """GAE (Schulman et al., 2016), float32 [T, N]: delta_t + gamma lambda A_{t+1}, up to the next cut.
 
     Args:
-        rewards: scaled rewards [T, N].
+        rewards: scaled [T, N].
         values: V(s_t) [T, N].
-        next_values: see ``bootstrap_values`` [T, N].
-        cut: steps at which the trace stops [T, N].
+        next_values: from ``bootstrap_values`` [T, N].
+        cut: where the trace stops [T, N].
         gamma: discount.
         gae_lambda: lambda.
     """

@@ -1,4 +1,4 @@
-"""SAC's actor, built from weights: mode or sample of a squashed Gaussian, within the environment's bounds."""
+"""SAC's actor, built from weights: mode or sample of a squashed Gaussian."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ Floats = NDArray[np.float32]
 
 
 class GaussianActor:
-    """Mode or sample of SAC's squashed Gaussian, scaled to the bounds ``low`` and ``high`` among the weights.
+    """Mode or sample of SAC's squashed Gaussian, scaled to the weights ``low`` and ``high``.
 
     Args:
         weights: of the actor, with the action bounds.

@@ -45,8 +45,8 @@ def updater_on(device: str, state_size: int, action_size: int, settings: SACSett
 def modest_alpha(config: LearnerConfig, action_size: int) -> float:
     """The entropy coefficient at which acting uniformly at random forever is worth as much as one target.
 
-    A larger one would make learners with sparse rewards prefer noise to the target. The entropy of a uniform action is
-    ln 2 for each of its A entries in [-1, 1].
+    With a larger one, learners would prefer noise to a sparse target. The entropy of a uniform action is ln 2 for each
+    of its A entries in [-1, 1].
     """
     horizon = 1.0 / max(1.0 - config.gamma, 1.0 / config.attempt_steps)
     return TARGET_REWARD * config.reward_scale / (horizon * action_size * math.log(2.0))

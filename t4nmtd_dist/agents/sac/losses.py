@@ -1,8 +1,7 @@
 """SAC's losses (Haarnoja et al., 2018) with policy intervention (T4NMTD, Algorithm 2, line 12).
 
-The reference: ``torch_update`` differentiates them on any device, and tests compare the gradients of ``fast_cpu`` with
-theirs. Q_i are the two critics, Q'_i their targets, pi the actor, alpha the entropy coefficient; a is drawn from
-pi(.|s), a' from pi(.|s').
+``torch_update`` differentiates these reference losses, and tests compare the gradients of ``fast_cpu``. Q_i are the two
+critics, Q'_i their targets, pi the actor, alpha the entropy coefficient; a is drawn from pi(.|s), a' from pi(.|s').
 """
 
 from __future__ import annotations
@@ -48,12 +47,12 @@ def critic_target(
 
 
 def critic_loss(errors: Tensor) -> Tensor:
-    """Sum over both critics of 1/2 E[(Q_i(s, a) - y)^2], of the errors Q_i(s, a) - y [2, B]."""
+    """Sum over both critics of 1/2 E[(Q_i(s, a) - y)^2], from the errors [2, B]."""
     return 0.5 * errors.square().mean(1).sum()
 
 
 def actor_loss(alpha: Tensor, log_pi: Tensor, min_q: Tensor) -> Tensor:
-    """E[alpha log pi(a|s) - min_i Q_i(s, a)], of log pi(a|s) [B] and min_i Q_i(s, a) [B]."""
+    """E[alpha log pi(a|s) - min_i Q_i(s, a)], from log pi and min_i Q_i [B]."""
     return (alpha * log_pi - min_q).mean()
 
 

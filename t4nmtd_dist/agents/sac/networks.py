@@ -1,8 +1,7 @@
 """Stacks of small MLPs in one flat buffer.
 
-A *stack* is n networks of one shape: SAC's actor (n = 1) and its critics (n = 2). All parameters of a stack lie in one
-flat tensor, so that Adam and the target update are one pass over memory; layers are views of it. A hidden layer is
-linear, optional layer norm, ReLU.
+A *stack* is n networks of one shape: SAC's actor (n = 1) or critics (n = 2). Layers are views of one flat tensor, so
+that Adam and the target update are one pass over memory. A hidden layer is linear, optional layer norm, ReLU.
 """
 
 from __future__ import annotations
@@ -125,7 +124,7 @@ class Stack:
                 f"weights do not fit the network: {wrong} has shape {found.get(wrong)}, expected {expected.get(wrong)}"
             )
         for name, array in weights.items():
-            named[name].copy_(torch.from_numpy(np.require(array, requirements="W")))  # torch warns of read-only ones
+            named[name].copy_(torch.from_numpy(np.require(array, requirements="W")))  # torch warns of read-only arrays
 
 
 def weights_of_stacks(stacks: Mapping[str, Stack]) -> Weights:

@@ -13,11 +13,11 @@ LAYER_NORM = True  # in the critics' hidden layers
 
 @dataclass(frozen=True)
 class StackShape:
-    """Sizes of a stack: n networks of one shape with the same inputs.
+    """Sizes of a stack: ``count`` networks of one shape with the same inputs.
 
     Attributes:
         inputs: length of the input.
-        hidden: widths of the hidden layers, at least one.
+        hidden: hidden layer widths, at least one.
         outputs: outputs of each network.
         layer_norm: whether hidden layers are normalised before the ReLU.
     """

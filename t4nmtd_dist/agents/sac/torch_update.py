@@ -1,7 +1,7 @@
 """SAC's gradient step in plain torch, for any device: autograd of ``losses``.
 
 On the CPU, ``fast_cpu`` takes two thirds of the time; tests compare the two. An update never waits for the device: a
-batch is sent as one array, and results are fetched only on demand.
+batch is sent as one array, results are fetched on demand.
 """
 
 from __future__ import annotations

@@ -1,7 +1,7 @@
 """Interface of SAC's gradient step and its two implementations.
 
 ``fast_cpu`` is the fast one for the CPU, with hand-written gradients; ``torch_update`` is plain torch, for any device.
-Weights and optimiser states have the same names and shapes, so policies, checkpoints and replicas work with both.
+They share weights and optimiser states, so policies, checkpoints and replicas work with both.
 """
 
 from __future__ import annotations
@@ -63,7 +63,7 @@ class PeerSoftValues:
 
 
 class SoftActorCritic(Protocol):
-    """Actor, twin critics, target critics and entropy coefficient of one sub-task, and their update."""
+    """Actor, twin critics, target critics, entropy coefficient, and their update."""
 
     settings: SACSettings
 
@@ -71,7 +71,7 @@ class SoftActorCritic(Protocol):
         """Actions [N, A] within [-1, 1] for product states [N, d]: sampled, or the mode."""
 
     def soft_values(self, states: Floats) -> tuple[Floats, Floats]:
-        """Values for peers: min_i Q'_i(s, a) and log pi(a|s), each [N], a sampled from the own actor."""
+        """For peers: min_i Q'_i(s, a) and log pi(a|s), each [N], a sampled from the own actor."""
 
     def update(self, batch: Batch, peers: PeerSoftValues | None = None) -> None:
         """One gradient step of critics, actor and entropy coefficient, and a target step.
@@ -80,7 +80,7 @@ class SoftActorCritic(Protocol):
         """
 
     def update_with_noise(self, batch: Batch, noise: Floats, peers: PeerSoftValues | None = None) -> None:
-        """``update`` with given standard normal noise [A, 2 B]: first for the actions in s, then for those in s'."""
+        """``update`` with given standard normal noise [A, 2 B], for the actions in s, then in s'."""
 
     def scale_learning_rate(self, factor: float) -> None:
         """Set the learning rates to ``factor`` times the configured one."""
@@ -118,7 +118,7 @@ class SoftActorCritic(Protocol):
         """
 
     def optimiser_state(self) -> Weights:
-        """Copies of optimiser moments and steps and of the noise generator's state, for an exact resume."""
+        """Copies of optimiser moments and steps and the noise generator's state, for an exact resume."""
 
     def load_optimiser_state(self, state: Mapping[str, NDArray[Any]]) -> None:
         """Restore from ``optimiser_state``."""

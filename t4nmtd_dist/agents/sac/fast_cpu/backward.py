@@ -1,7 +1,7 @@
 """Hand-written gradients of a stack, from the activations of ``forward.evaluate``.
 
-Computes only what SAC needs: weight gradients without input gradients, or, in the actor's step, action gradients
-without the critics' weight gradients. Tests compare each with autograd.
+Computes only what SAC needs: weight gradients, or, in the actor's step, the critics' action gradients. Tests compare
+each with autograd.
 """
 
 from __future__ import annotations

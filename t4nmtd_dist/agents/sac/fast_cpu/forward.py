@@ -1,8 +1,8 @@
 """Evaluates a stack of networks without autograd, with one product per layer.
 
-Activations go to preallocated buffers, which ``backward`` reads (docs/decisions/012 gives the gain). Hidden activations
-are [n, rows, width]; outputs are *transposed*, [n, outputs, rows], because a product with few result columns is five
-times slower than one with few rows.
+Activations go to preallocated buffers, which ``backward`` reads (docs/decisions/012). Hidden activations are [n, rows,
+width]; outputs are *transposed*, [n, outputs, rows], because a product with few result columns is five times slower
+than one with few rows.
 """
 
 from __future__ import annotations
@@ -46,7 +46,7 @@ class Activations:
         self.outputs = torch.empty(shape.count, shape.outputs, rows, dtype=dtype)
 
     def first(self, rows: int) -> Activations:
-        """Views of the first rows; only for stacks of one network, where they are contiguous."""
+        """Views of the first rows, for stacks of one network, where they are contiguous."""
         if rows == self.rows:
             return self
         part = object.__new__(Activations)

@@ -26,7 +26,7 @@ through_numpy = made_by_amd()
 
 
 def multiply(left: Tensor, right: Tensor, out: Tensor) -> None:
-    """Write the product of matrices, or stacks of them [n, i, j] and [n, j, k], to ``out``."""
+    """Write the product of (stacks of) matrices [n, i, j] and [n, j, k] to ``out``."""
     if through_numpy:
         np.matmul(left.numpy(), right.numpy(), out=out.numpy())
     else:
