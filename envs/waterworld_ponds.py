@@ -28,8 +28,8 @@ class Pond:
     shared space makes bulk reads worthwhile.
 
     Attributes:
-        states: x, y, vx, vy of the bodies after the last ``move``, or for the next ``write``: shape (4,
-            copies, balls + 1), a view of the batch.
+        states: x, y, vx, vy of the bodies after the last ``move``, or for the next ``write``: shape (4, copies, balls +
+            1), a view of the batch.
     """
 
     def __init__(self, states: NDArray[np.float64]) -> None:
@@ -127,8 +127,8 @@ class Ponds:
         """Step every copy by commanded velocities, shape (N, 2).
 
         Returns:
-            Labels, bool (N, colours). Quirk: they describe the positions *before* the move, so the
-            automaton is one step behind the observations.
+            Labels, bool (N, colours). Quirk: they describe the positions *before* the move, so the automaton is one
+            step behind the observations.
         """
         labels = self.touches()
         for pond in self._ponds:

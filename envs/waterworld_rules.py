@@ -2,9 +2,9 @@
 
 ``envs.waterworld_ponds`` handles motion and touches.
 
-The states of N copies are an array (4, N, balls + 1): planes x, y, vx, vy (numpy is fast along long axes) of
-the balls in colour order, then of the agent. A snapshot is a flat float64 row: x, y, vx, vy of each ball, then of the
-agent, 76 numbers for 18 balls, 100 for 24. The field is 30 by 30; velocities are per step.
+The states of N copies are an array (4, N, balls + 1): planes x, y, vx, vy (numpy is fast along long axes) of the balls
+in colour order, then of the agent. A snapshot is a flat float64 row: x, y, vx, vy of each ball, then of the agent, 76
+numbers for 18 balls, 100 for 24. The field is 30 by 30; velocities are per step.
 """
 
 from __future__ import annotations

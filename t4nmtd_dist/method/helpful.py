@@ -1,4 +1,4 @@
-"""Selects the sub-tasks worth a learner: those that reduce the distance to acceptance, one per set of transitions.
+"""Selects the sub-tasks worth a learner: useful ones, one per set of transitions.
 
 Both rules are ours (docs/decisions/019); with ``keep = "all"`` neither applies, as in the paper.
 """

@@ -156,7 +156,7 @@ class Method(Protocol):
         """Roles that act and learn now; None for all."""
 
     def entries(self) -> QEntries:
-        """The learned high level as (q, role, value), for messages, checkpoints and exported policies."""
+        """The learned high level as (q, role, value), for messages, checkpoints and exports."""
 
     def load(self, entries: Iterable[tuple[int, str, float]]) -> None:
         """Replace the learned high level with ``entries`` of another object."""
