@@ -1,6 +1,6 @@
 """The global policy: in <s, q>, act with the actor of arg max Q(q, .) (paper, section "Global policy").
 
-An exported policy is a folder: ``policy.json`` (format version, task, DFA, Q, spaces) and ``actors.safetensors``.
+An exported policy is a folder: ``policy.json`` (format, task, DFA, sub-tasks, Q, rho) and ``actors.safetensors``.
 """
 
 from __future__ import annotations
