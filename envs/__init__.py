@@ -1,20 +1,19 @@
-"""The environments: Gymnasium environments that report true propositions and can be put into any earlier state.
+"""Gymnasium environments that report true propositions and can be restored to any earlier state.
 
 Importing this package registers them, so either of these makes an environment::
 
     import envs; gymnasium.make("t4nmtd/FrozenLake-v0", goals=1)
     gymnasium.make_vec("envs:t4nmtd/FrozenLake-v0", num_envs=64, goals=1)
 
-Gymnasium 1.0 and later load no plugin entry points: an id without ``envs:`` needs the import first. The
-contract that every environment keeps is in ``envs.protocol``.
+Gymnasium 1.0 and later load no plugin entry points, so an id without ``envs:`` needs the import. The contract is in
+``envs.protocol``.
 """
 
 from __future__ import annotations
 
 from gymnasium.envs.registration import register, registry
 
-# id: (single environment, batched environment or None), as strings: physics engines are imported when an environment is
-# made.
+# id: (single environment, batched environment or None), as strings, so that physics engines are imported lazily.
 _ENTRY_POINTS = {
     "t4nmtd/FrozenLake-v0": ("envs.frozenlake:FrozenLakeEnv", "envs.frozenlake:FrozenLakeVectorEnv"),
     "t4nmtd/Waterworld-v0": ("envs.waterworld:WaterworldEnv", "envs.waterworld:WaterworldVectorEnv"),
@@ -24,9 +23,9 @@ _ENTRY_POINTS = {
 
 
 def register_environments() -> None:
-    """Register every environment with gymnasium; a second call changes nothing.
+    """Register every environment with gymnasium; idempotent.
 
-    No environment has a step limit: time limits belong to the learner and to the evaluation.
+    No environment has a step limit: time limits belong to the learner and the evaluation.
     """
     for env, (entry_point, vector_entry_point) in _ENTRY_POINTS.items():
         if env not in registry:

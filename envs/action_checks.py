@@ -1,4 +1,4 @@
-"""Checks of actions: discrete ones, and those from a symmetric box."""
+"""Validates discrete actions and those of a symmetric Box."""
 
 from __future__ import annotations
 
@@ -17,14 +17,14 @@ def symmetric_box(bound: float, size: int) -> spaces.Box:
 
 
 def checked_action(space: spaces.Discrete, action: object) -> int:
-    """One discrete action as an int.
+    """Validate one discrete action as an int.
 
     Args:
-        space: the action space, numbered from 0.
-        action: an int, a numpy integer or an integer array of shape ().
+        space: the action space, starting at 0.
+        action: an int, a numpy integer or an integer array ().
 
     Raises:
-        ValueError: if ``action`` is of another type or not in ``space``; names space and value.
+        ValueError: if ``action`` has another type or is not in ``space``.
     """
     array = np.asarray(action)
     if array.shape != () or array.dtype.kind not in "iu" or not 0 <= int(array) < space.n:
@@ -33,15 +33,15 @@ def checked_action(space: spaces.Discrete, action: object) -> int:
 
 
 def checked_actions(space: spaces.Discrete, actions: ArrayLike, num_envs: int) -> NDArray[np.intp]:
-    """The actions of a batch as an intp array of shape (num_envs,).
+    """Validate a batch of discrete actions as intp (num_envs,).
 
     Args:
-        space: the action space of one environment, numbered from 0.
+        space: action space of one environment, starting at 0.
         actions: integers, one per environment.
         num_envs: N.
 
     Raises:
-        ValueError: if the shape or type is wrong or an action is not in ``space``; names space and value.
+        ValueError: if the shape or type is wrong or an action is not in ``space``.
     """
     array = np.asarray(actions)
     if array.shape != (num_envs,) or array.dtype.kind not in "iu":
@@ -49,7 +49,7 @@ def checked_actions(space: spaces.Discrete, actions: ArrayLike, num_envs: int) -
             f"actions must be integers of shape ({num_envs},) in {space}, "
             f"got {array.dtype} of shape {array.shape}: {actions!r}"
         )
-    # Seen as unsigned numbers the negative ones are huge, so that one reduction checks both ends.
+    # As unsigned numbers, negative ones are huge, so one reduction checks both bounds.
     numbers = array.astype(np.intp, copy=False)
     if numbers.view(np.uintp).max() >= space.n:
         row = int(np.flatnonzero((numbers < 0) | (numbers >= space.n))[0])
@@ -60,18 +60,18 @@ def checked_actions(space: spaces.Discrete, actions: ArrayLike, num_envs: int) -
 def checked_box_actions(
     space: spaces.Box, bound: float, actions: object, shape: tuple[int, ...]
 ) -> NDArray[np.float64]:
-    """Actions as a fresh float64 array within [-bound, bound].
+    """Validate actions as a new float64 array within [-bound, bound].
 
-    What lies outside by rounding alone (a millionth of the bound) is moved onto the bound.
+    Rounding errors up to a millionth of the bound are clipped.
 
     Args:
-        space: the action space of one environment, for the message.
+        space: action space of one environment, for the message.
         bound: its symmetric bound.
         actions: numbers.
-        shape: the shape that they must have.
+        shape: the required shape.
 
     Raises:
-        ValueError: if type or shape are wrong, or a number is NaN or outside; names space and value.
+        ValueError: if the type or shape is wrong, or a number is NaN or out of bounds.
     """
     array = np.asarray(actions)
     if array.shape != shape or array.dtype.kind not in "fiu":
@@ -79,7 +79,7 @@ def checked_box_actions(
             f"expected numbers of shape {shape} in {space}, got {array.dtype} of shape {array.shape}: {actions!r}"
         )
     numbers = array.astype(np.float64)
-    # The largest magnitude is NaN if one of the numbers is, and then not within the limit.
+    # The maximum is NaN if any number is, and then fails the comparison.
     largest = np.abs(numbers).max()
     if not largest <= bound * (1 + _ROUNDING):
         raise ValueError(f"action {actions!r} is not in {space}: every number must be within +-{bound}")
@@ -87,14 +87,14 @@ def checked_box_actions(
 
 
 def batch_of_one_action(space: spaces.Space[Any], action: object) -> NDArray[Any]:
-    """One action of an environment as the actions of a batch of one, shape (1, ...).
+    """Validate one action as a batch of one, shape (1, ...).
 
     Args:
-        space: Discrete, numbered from 0, or a symmetric Box.
+        space: Discrete, starting at 0, or a symmetric Box.
         action: one action.
 
     Raises:
-        ValueError: if type or shape are wrong, or the action is not in ``space``; names space and value.
+        ValueError: if the type or shape is wrong, or the action is not in ``space``.
     """
     if isinstance(space, spaces.Discrete):
         return np.array([checked_action(space, action)])

@@ -1,4 +1,4 @@
-"""Checks of what an environment is given: keywords, row numbers, reset masks and snapshots."""
+"""Validates arguments of environments: keywords, row indices, reset masks and snapshots."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ def checked_choice(keyword: str, value: object, choices: tuple[object, ...]) -> 
 
 
 def checked_count(num_envs: object) -> int:
-    """The number of copies of a batch.
+    """Validate the number of environments in a batch.
 
     Raises:
         ValueError: if it is not an integer of at least 1.
@@ -32,10 +32,10 @@ def checked_count(num_envs: object) -> int:
 
 
 def checked_indices(indices: ArrayLike, num_envs: int) -> NDArray[np.intp]:
-    """Row numbers of a batch as an intp array of shape (k,).
+    """Validate row indices as intp (k,).
 
     Raises:
-        ValueError: if they are not integers in one dimension, or one is not in 0..num_envs-1.
+        ValueError: if they are not one-dimensional integers in 0..num_envs-1.
     """
     array = np.asarray(indices)
     if array.size == 0 and array.ndim == 1:
@@ -49,10 +49,10 @@ def checked_indices(indices: ArrayLike, num_envs: int) -> NDArray[np.intp]:
 
 
 def checked_distinct_indices(indices: ArrayLike, num_envs: int) -> NDArray[np.intp]:
-    """Row numbers of a batch as an intp array of shape (k,), none of them twice.
+    """Validate distinct row indices as intp (k,).
 
     Raises:
-        ValueError: see ``checked_indices``, and if a row is named twice.
+        ValueError: see ``checked_indices``, and if a row occurs twice.
     """
     rows = checked_indices(indices, num_envs)
     if np.unique(rows).size != rows.size:
@@ -61,11 +61,11 @@ def checked_distinct_indices(indices: ArrayLike, num_envs: int) -> NDArray[np.in
 
 
 def rows_to_reset(options: Mapping[str, Any] | None, num_envs: int) -> NDArray[np.intp]:
-    """The row numbers [k] that the option ``reset_mask`` of a batched reset asks for; without a mask all rows.
+    """Row indices [k] selected by the option ``reset_mask`` of a batched reset, by default all.
 
     Raises:
-        ValueError: if the mask is no bool array of shape (num_envs,), or true nowhere (gymnasium's own vector
-            environments refuse that too).
+        ValueError: if the mask is not a bool array of shape (num_envs,) or is all false, as in gymnasium's own vector
+            environments.
     """
     mask = (options or {}).get("reset_mask")
     if mask is None:
@@ -78,17 +78,17 @@ def rows_to_reset(options: Mapping[str, Any] | None, num_envs: int) -> NDArray[n
 
 
 def checked_snapshots(env: str, states: object, count: int, size: int, kind: str) -> NDArray[Any]:
-    """Check type, shape and finiteness of snapshots; what their values mean is the environment's to check.
+    """Check that snapshots are a finite array (count, size), but not what its values mean.
 
     Args:
         env: name of the environment, for the message.
-        states: what should be an array of shape (count, size).
+        states: the snapshots.
         count: number of snapshots.
         size: length of one snapshot.
-        kind: numpy kind codes that are allowed, such as ``"i"`` or ``"f"``.
+        kind: allowed numpy kind codes, such as ``"i"`` or ``"f"``.
 
     Raises:
-        ValueError: if they are not such an array, or hold NaN or infinity.
+        ValueError: if they are not.
     """
     if not isinstance(states, np.ndarray) or states.dtype.kind not in kind or states.shape != (count, size):
         came = f"{states.dtype} {states.shape}" if isinstance(states, np.ndarray) else type(states).__name__

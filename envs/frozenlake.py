@@ -1,4 +1,4 @@
-"""FrozenLake with passengers: N lakes stepped by one set of numpy calls, and the single lake as a batch of one."""
+"""FrozenLake with passengers: N lakes in vectorised numpy, and a single one."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ from envs.snapshot_batch import Rows, SnapshotBatch
 
 
 class FrozenLakeVectorEnv(SnapshotBatch):
-    """N lakes as described in ``FrozenLakeEnv``; every reset is the same, whatever the seed."""
+    """N lakes as described in ``FrozenLakeEnv``; resets are deterministic."""
 
     metadata = {**SnapshotBatch.metadata, "render_fps": 4}  # noqa: RUF012 - gymnasium's own convention
 
@@ -36,16 +36,10 @@ class FrozenLakeVectorEnv(SnapshotBatch):
         observation: Observation = "features",
         render_mode: str | None = None,
     ) -> None:
-        """Make N lakes in their start state.
-
-        Args:
-            num_envs: N, at least 1.
-            goals: 1 for the lake of task 7, 2 for that of task 8.
-            observation: "features" or "raw".
-            render_mode: None or "rgb_array".
+        """Make ``num_envs`` lakes in their start state; other arguments as for ``FrozenLakeEnv``.
 
         Raises:
-            ValueError: if an argument is none of these.
+            ValueError: if an argument is invalid.
         """
         self.lake = lake_with(goals)
         self._actions = spaces.Discrete(len(ACTIONS))
@@ -84,22 +78,21 @@ class FrozenLakeVectorEnv(SnapshotBatch):
 class FrozenLakeEnv(BatchOfOne):
     """One lake; id ``t4nmtd/FrozenLake-v0``, contract in ``envs.protocol.SnapshotEnv``.
 
-    Actions: 0 left, 1 down, 2 right, 3 up, 4 pick, 5 drop. Moving against the border stays put. Pick takes
-    the passenger of the agent's cell into empty hands; drop leaves the carried one on a cell without another.
+    Actions: 0 left, 1 down, 2 right, 3 up, 4 pick, 5 drop. Moves against the border have no effect. With empty hands,
+    pick takes the passenger of the agent's cell; drop leaves the carried one on a cell without another.
 
     Labels: ``p1``, ``p2``, ``p3`` while carrying that passenger; ``g`` (or ``g1``, ``g2``) on the goal.
 
-    Termination: entering a hole; with one goal also any move made on the goal cell. Whoever has ended stays
-    as they are, and ``terminated`` stays true, until the environment is reset or set.
+    Termination: entering a hole; with one goal also any move made on the goal cell. A terminated lake stays so,
+    unchanged, until it is reset or restored.
 
-    Observation ``"features"``, 83 numbers in [-1, 1]. A one-hot of the agent's 64 cells, so that a small
-    network learns a cell's action without smoothing over holes; a one-hot of the hands (nobody, 1, 2, 3); and
-    for each passenger, who may be put down anywhere, its row and column (-1 to 1), its offset from the agent
-    in rows and columns (by 7), and 1 if it lies on the agent's cell, ready to be picked. A carried passenger
-    is where the agent is, offset 0, not ready. No two states with different futures look the same.
+    Observation ``"features"``, 83 numbers in [-1, 1]: one-hots of the agent's 64 cells (so that a small network does
+    not smooth over holes) and of the hands (nobody, 1, 2, 3); per passenger its row and column (-1 to 1), its offset
+    from the agent in rows and columns (by 7), and 1 if it can be picked. A carried passenger has the agent's position,
+    offset 0, and cannot be picked. States with different futures have different observations.
 
-    Observation ``"raw"``, the authors' 8 numbers: cell, carrying (0..3), and (row, column) of each passenger,
-    (-1, -1) while carried.
+    Observation ``"raw"``, the authors' 8 numbers: cell, carrying (0..3), and (row, column) of each passenger, (-1, -1)
+    while carried.
     """
 
     metadata = {"render_modes": ["rgb_array"], "render_fps": 4}  # noqa: RUF012 - gymnasium's own convention
@@ -108,11 +101,11 @@ class FrozenLakeEnv(BatchOfOne):
         """Make a lake in its start state.
 
         Args:
-            goals: 1 for the lake of task 7, 2 for that of task 8.
+            goals: 1 for task 7, 2 for task 8.
             observation: "features" or "raw".
             render_mode: None or "rgb_array".
 
         Raises:
-            ValueError: if an argument is none of these.
+            ValueError: if an argument is invalid.
         """
         super().__init__(FrozenLakeVectorEnv(1, goals, observation, render_mode))

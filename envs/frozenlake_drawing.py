@@ -1,4 +1,4 @@
-"""How a FrozenLake is drawn."""
+"""Renders FrozenLake."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ _TILE = 48  # pixels
 
 
 def render_lake(lake: Lake, state: NDArray[np.int64]) -> NDArray[np.uint8]:
-    """A picture of one state with its labels: uint8 array of shape (420, 384, 3)."""
+    """Render one state with its labels: uint8 (420, 384, 3)."""
     canvas = Canvas(SIDE * _TILE, SIDE * _TILE + LABEL_BAND_HEIGHT, WHITE)
     for cell in range(CELLS):
         _draw_tile(canvas, lake, cell)
@@ -49,7 +49,7 @@ def _centre(cell: int) -> tuple[float, float]:
 
 
 def _draw_tile(canvas: Canvas, lake: Lake, cell: int) -> None:
-    """Ice; on it a hole, a flag with the goal's name, or the mark of the start."""
+    """Ice, with a hole, a goal's flag, or the start mark."""
     x, y = _centre(cell)
     half = _TILE / 2
     ice = (226, 240, 250)
@@ -74,7 +74,7 @@ def _draw_passenger(canvas: Canvas, x: float, y: float, number: int) -> None:
 
 
 def _draw_agent(canvas: Canvas, x: float, y: float, carrying: int, ended: bool) -> None:
-    """A figure on the right of its cell, red once the episode has ended, its passenger above its head."""
+    """A figure, red after termination, its passenger overhead."""
     colour = VERMILION if ended else BLUE
     x += 10
     canvas.polygon([(x - 11, y + 22), (x, y + 2), (x + 11, y + 22)], colour)

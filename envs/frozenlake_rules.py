@@ -1,11 +1,10 @@
-"""The rules of FrozenLake with passengers (tasks 7 and 8), as look-up tables and functions on states.
+"""Rules of FrozenLake with passengers (tasks 7 and 8), as look-up tables and functions on states.
 
-Gymnasium's FrozenLake, 8x8 and not slippery, in which passengers can be picked up and put down, as in the
-authors' experiments (AAAI 2026).
+Gymnasium's FrozenLake, 8x8 and not slippery, with passengers to pick up and put down, as in the authors' experiments
+(AAAI 2026).
 
-A state, and so a snapshot, is a row of 7 integers: goals, cell, ended, carrying, and the cell of each
-passenger. ``goals`` (1 or 2) names the map, ``ended`` is 1 once the episode has terminated, ``carrying`` is a
-passenger's number or 0, a cell is 8*row + column, and the cell of the carried passenger is -1.
+A state, and so a snapshot, is a row of 7 integers: goals (1 or 2, selects the map), cell (8*row + column), ended (1
+after termination), carrying (a passenger's number or 0), and the cell of each passenger (-1 if carried).
 """
 
 from __future__ import annotations
@@ -48,15 +47,14 @@ class Lake:
     """The rules of one map as look-up tables; an *agent index* is 4*cell + carrying.
 
     Attributes:
-        goals: 1 (task 7) or 2 (task 8).
         propositions: names of the label columns.
         tiles: the map as one string of 64 symbols.
-        start: int64 array of shape (7,), the state after a reset.
+        start: int64 (7,), the state after a reset.
         cell_after: flat table of the next cell, indexed by (64*ended + cell)*6 + action.
         ended_after: flat table of the next ``ended``, with the same index.
-        hands_after: flat table of the next ``carrying``, indexed by ((6*ended + action)*4 + carrying)*4 +
-            here, where ``here`` is the number of the passenger on the agent's cell, or 0.
-        labels: bool array of shape (256, P), indexed by the agent index.
+        hands_after: flat table of the next ``carrying``, indexed by ((6*ended + action)*4 + carrying)*4 + here, where
+            ``here`` is the passenger on the agent's cell, or 0.
+        labels: bool (256, P), indexed by the agent index.
     """
 
     goals: int
@@ -96,7 +94,7 @@ def lake_with(goals: int) -> Lake:
 
 
 def _movement(tiles: str, goals: int) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """The tables ``cell_after`` and ``ended_after``; whoever has ended stays."""
+    """Tables ``cell_after`` and ``ended_after``."""
     cells = np.tile(np.arange(CELLS)[:, None], (2, 1, len(ACTIONS)))
     row, column = np.divmod(np.arange(CELLS), SIDE)
     for action, (down, right) in {LEFT: (0, -1), DOWN: (1, 0), RIGHT: (0, 1), UP: (-1, 0)}.items():
@@ -104,8 +102,8 @@ def _movement(tiles: str, goals: int) -> tuple[NDArray[np.int64], NDArray[np.int
     ended = np.isin(cells, [cell for cell, tile in enumerate(tiles) if tile == "H"])
     ended[1] = True
     if goals == 1:
-        # Quirk of task 7: reaching the goal goes on, but any move from it, even a detour with empty hands,
-        # ends the episode. The agent stays on the goal then: in gymnasium's FrozenLake goal cells absorb.
+        # Quirk of task 7: reaching the goal does not end the episode, but any move from it does, even with empty hands.
+        # The agent stays on the goal: in gymnasium's FrozenLake, goal cells are absorbing.
         goal = tiles.index("G")
         cells[0, goal, :PICK] = goal
         ended[0, goal, :PICK] = True
@@ -113,7 +111,7 @@ def _movement(tiles: str, goals: int) -> tuple[NDArray[np.int64], NDArray[np.int
 
 
 def _hands() -> NDArray[np.int64]:
-    """The table ``hands_after``: pick with empty hands, drop where no other passenger is."""
+    """Table ``hands_after``."""
     hands = np.empty((2, len(ACTIONS), _HANDS, _HANDS), dtype=np.int64)
     hands[:] = np.arange(_HANDS)[:, None]
     hands[0, PICK, 0, :] = np.arange(_HANDS)
@@ -122,7 +120,7 @@ def _hands() -> NDArray[np.int64]:
 
 
 def _labels(goal_cells: list[int]) -> NDArray[np.bool_]:
-    """The table ``labels``: carrying each passenger, then being on each goal."""
+    """Table ``labels``."""
     cell, carrying = np.divmod(np.arange(CELLS * _HANDS), _HANDS)
     return np.concatenate([carrying[:, None] == _NUMBERS, cell[:, None] == goal_cells], axis=1)
 
@@ -132,16 +130,16 @@ def advance(lake: Lake, states: NDArray[np.int64], actions: NDArray[np.intp]) ->
 
     Args:
         lake: the rules.
-        states: array of shape (N, 7).
-        actions: array of shape (N,), entries 0..5: left, down, right, up, pick, drop.
+        states: shape (N, 7).
+        actions: shape (N,): 0..5 for left, down, right, up, pick, drop.
     """
     cell, ended, carrying = states[:, CELL], states[:, ENDED], states[:, CARRYING]
     acting = ended * len(ACTIONS) + actions
     here = (states[:, FIRST_PASSENGER:] == cell[:, None]) @ _NUMBERS
     hands = lake.hands_after[(acting * _HANDS + carrying) * _HANDS + here]
     move = (ended * CELLS + cell) * len(ACTIONS) + actions
-    # A passenger let go is left on the cell; one in the hands is nowhere. Passenger k is column CARRYING + k,
-    # so empty hands (k = 0) write into the column CARRYING itself, which gets its value last.
+    # A dropped passenger is on the cell, a carried one nowhere. Passenger k is column CARRYING + k, so empty hands (k =
+    # 0) write to column CARRYING itself, which is set last.
     rows = np.arange(len(states))
     states[rows, CARRYING + carrying] = cell
     states[rows, CARRYING + hands] = CARRIED
@@ -151,7 +149,7 @@ def advance(lake: Lake, states: NDArray[np.int64], actions: NDArray[np.intp]) ->
 
 
 def label_rows(lake: Lake, states: NDArray[np.int64]) -> NDArray[np.bool_]:
-    """The labels of states (N, 7): bool array of shape (N, P), columns as in ``lake.propositions``."""
+    """Labels of states (N, 7): bool (N, P), columns as in ``lake.propositions``."""
     return lake.labels.take(states[:, CELL] * _HANDS + states[:, CARRYING], axis=0)
 
 
@@ -163,7 +161,7 @@ def _agent_features() -> NDArray[np.float32]:
 
 
 def _passenger_features() -> NDArray[np.float32]:
-    """Five numbers by agent's and passenger's cell, shape (64, 65, 5); the last row, -1, is "carried"."""
+    """Five numbers by agent's and passenger's cell, (64, 65, 5); passenger cell -1 means carried."""
     agent = np.stack(np.divmod(np.arange(CELLS), SIDE), axis=-1)[:, None, :]
     passenger = np.concatenate([np.broadcast_to(agent[:, 0], (CELLS, CELLS, 2)), agent], axis=1)
     place = 2 * passenger / (SIDE - 1) - 1
@@ -179,14 +177,10 @@ _COORDINATES = np.array([*np.ndindex(SIDE, SIDE), (-1, -1)], dtype=np.float32)
 
 
 def observe(states: NDArray[np.int64], observation: Observation) -> NDArray[np.float32]:
-    """Observations of states, see ``envs.frozenlake.FrozenLakeEnv``.
-
-    Args:
-        states: array of shape (N, 7).
-        observation: which kind.
+    """Observations of states (N, 7), see ``envs.frozenlake.FrozenLakeEnv``.
 
     Returns:
-        A fresh array of shape (N, 83) for features, (N, 8) for raw.
+        A new array (N, 83) for features, (N, 8) for raw.
     """
     cell, carrying, passengers = states[:, CELL], states[:, CARRYING], states[:, FIRST_PASSENGER:]
     out = np.empty((len(states), OBSERVATION_SIZE[observation]), dtype=np.float32)
@@ -215,10 +209,10 @@ def observation_space(observation: Observation) -> spaces.Box:
 
 
 def checked_states(lake: Lake, snapshots: object, count: int) -> NDArray[np.int64]:
-    """Snapshots as states, an int64 array of shape (count, 7), a copy.
+    """Validate snapshots and copy them to states, int64 (count, 7).
 
     Raises:
-        ValueError: if they are not integers of shape (count, 7), or one of them is no state of this lake.
+        ValueError: if they are not integers of shape (count, 7), or one is not a state of this lake.
     """
     states = checked_snapshots("FrozenLake", snapshots, count, STATE_SIZE, "i").astype(np.int64)
     cell, ended, carrying = states[:, CELL], states[:, ENDED], states[:, CARRYING]

@@ -1,7 +1,7 @@
-"""HalfCheetah (tasks 3 and 4): gymnasium's half-cheetah on MuJoCo, with five markers along the ground.
+"""HalfCheetah (tasks 3 and 4): gymnasium's half-cheetah on MuJoCo, with five markers on the ground.
 
-A snapshot is MuJoCo's integration state: time, positions, velocities, controls, applied forces and the
-solver's warm start, without which the next step differs in its last bits.
+A snapshot is MuJoCo's integration state: time, positions, velocities, controls, applied forces and the solver's warm
+start, without which the next step differs in its last bits.
 """
 
 from __future__ import annotations
@@ -37,13 +37,12 @@ class HalfCheetahEnv(gymnasium.Env[NDArray[Any], Any]):
 
     Action: six torques in [-1, 1], of the back thigh, shin and foot and the front ones, for 0.05 s.
 
-    Labels: ``h1`` to ``h5`` if x is closer than 0.3 to -8, -4, 0, 4, 8 *after* the step. An environment never
-    terminates, however the cheetah lies.
+    Labels: ``h1`` to ``h5`` if x is closer than 0.3 to -8, -4, 0, 4, 8 *after* the step. The environment never
+    terminates.
 
-    Observation ``"features"``, 24 numbers clipped to [-1, 1]: x (by 10), z, sine of the pitch (which grows with
-    every somersault), six joint angles (by 1.25); nine velocities (by 10 m/s, 6 m/s, 12 rad/s, and 30 rad/s for
-    joints); cosine of the pitch; and the offset to each marker (by 4, their distance, so that the next ones to
-    either side are seen finely).
+    Observation ``"features"``, 24 numbers clipped to [-1, 1]: x (by 10), z, sine of the pitch, six joint angles (by
+    1.25); nine velocities (by 10 m/s, 6 m/s, 12 rad/s, and 30 rad/s for joints); cosine of the pitch; and the offset to
+    each marker (by 4, their distance).
 
     Observation ``"raw"``, the authors' 18 numbers: nine positions including x, nine velocities.
     """
@@ -58,7 +57,7 @@ class HalfCheetahEnv(gymnasium.Env[NDArray[Any], Any]):
             render_mode: None or "rgb_array".
 
         Raises:
-            ValueError: if an argument is none of these.
+            ValueError: if an argument is invalid.
         """
         checked_choice("render_mode", render_mode, (None, "rgb_array"))
         self.propositions: tuple[str, ...] = PROPOSITIONS
@@ -74,11 +73,9 @@ class HalfCheetahEnv(gymnasium.Env[NDArray[Any], Any]):
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[NDArray[np.float32], dict[str, Any]]:
-        """Near x = 0, with gymnasium's noise: uniform 0.1 on positions, normal 0.1 on velocities.
+        """Reset near x = 0 with the noise of gymnasium's ``HalfCheetah-v5``; ignores ``options``.
 
-        Args:
-            seed: decides the noise, as in gymnasium's ``HalfCheetah-v5``.
-            options: ignored.
+        The noise is uniform 0.1 on positions, normal 0.1 on velocities.
         """
         super().reset(seed=seed)
         mujoco.mj_resetData(self._model, self._data)
@@ -88,10 +85,10 @@ class HalfCheetahEnv(gymnasium.Env[NDArray[Any], Any]):
         return self._observe(), {"labels": labels_at(self._positions.item(X))}
 
     def step(self, action: Any) -> tuple[NDArray[np.float32], float, bool, bool, dict[str, Any]]:
-        """Apply six torques, array of shape (6,).
+        """Apply six torques, shape (6,).
 
         Raises:
-            ValueError: if ``action`` has another shape or type, holds NaN or is not within +-1.
+            ValueError: if ``action`` has the wrong shape or type, is NaN or not within +-1.
         """
         self._data.ctrl[:] = checked_box_actions(self._torques, TOP_TORQUE, action, (JOINTS,))
         mujoco.mj_step(self._model, self._data, nstep=FRAME_SKIP)
@@ -104,10 +101,10 @@ class HalfCheetahEnv(gymnasium.Env[NDArray[Any], Any]):
         return snapshot
 
     def set_state(self, state: NDArray[Any]) -> NDArray[np.float32]:
-        """Restore a snapshot; returns the observation there.
+        """Restore a snapshot; returns its observation.
 
         Raises:
-            ValueError: if ``state`` is no snapshot of a HalfCheetah; nothing changes then.
+            ValueError: if ``state`` is not a snapshot of HalfCheetah; the environment is then unchanged.
         """
         rows = state[None] if isinstance(state, np.ndarray) else state
         restored = checked_snapshots("HalfCheetah", rows, 1, self._snapshot_size, "f")[0].astype(np.float64)
@@ -115,7 +112,7 @@ class HalfCheetahEnv(gymnasium.Env[NDArray[Any], Any]):
         return self._observe()
 
     def render(self) -> NDArray[np.uint8] | None:
-        """The cheetah from the side and the labels, uint8 array (356, 640, 3); None without a render mode."""
+        """Side view of the cheetah and the labels, uint8 array (356, 640, 3); None without a render mode."""
         if self.render_mode is None:
             return None
         from envs.halfcheetah_drawing import render_side_view

@@ -1,4 +1,4 @@
-"""HalfCheetah from the side, drawn from the capsules of its body: needs no OpenGL and shows the markers."""
+"""Renders HalfCheetah's side view and markers from its capsules, without OpenGL."""
 
 from __future__ import annotations
 
@@ -25,13 +25,9 @@ _FRONT = ("head", "fthigh", "fshin", "ffoot")
 def render_side_view(
     model: Any, positions: NDArray[np.float64], propositions: Sequence[str], labels: Collection[str]
 ) -> NDArray[np.uint8]:
-    """A map of all markers over a view of the body, moving along with it: uint8 array (356, 640, 3).
+    """A map of all markers above a view that follows the body: uint8 array (356, 640, 3).
 
-    Args:
-        model: the ``mujoco.MjModel``.
-        positions: qpos, array of shape (9,).
-        propositions: names of the markers.
-        labels: those that are true.
+    ``positions`` is qpos, shape (9,); ``labels`` are the true ``propositions``.
     """
     canvas = Canvas(_WIDTH, _MAP_HEIGHT + _VIEW_HEIGHT + LABEL_BAND_HEIGHT, (226, 238, 247))
     x = float(positions[0])
@@ -46,7 +42,7 @@ def render_side_view(
 
 
 def _draw_metres(canvas: Canvas, x: float) -> None:
-    """A tick and a number for every metre of ground in view."""
+    """Ticks and numbers for every visible metre."""
     reach = int(_WIDTH / 2 / _SCALE) + 1
     for metre in range(round(x) - reach, round(x) + reach + 1):
         at = _WIDTH / 2 + (metre - x) * _SCALE
@@ -65,8 +61,8 @@ def _draw_flag(canvas: Canvas, at: float, name: str, reached: bool) -> None:
 
 
 def _draw_body(canvas: Canvas, model: Any, positions: NDArray[np.float64]) -> None:
-    """Every capsule as a thick line; the front in another colour than the back."""
-    # Places come from data of their own: filling in the environment's would touch what its next step starts from.
+    """Capsules as thick lines, front and back in different colours."""
+    # Uses separate data: kinematics on the environment's data would change its next step.
     data = mujoco.MjData(model)
     data.qpos[:] = positions
     mujoco.mj_kinematics(model, data)
@@ -85,7 +81,7 @@ def _draw_body(canvas: Canvas, model: Any, positions: NDArray[np.float64]) -> No
 
 
 def _draw_map(canvas: Canvas, x: float, propositions: Sequence[str], labels: Collection[str]) -> None:
-    """The ground from -11 to 11 m with all markers, and where the cheetah is."""
+    """Map of the ground with all markers and the cheetah's position."""
     middle = _MAP_HEIGHT - 18
     canvas.rectangle((0, 0, _WIDTH, _MAP_HEIGHT), fill=PALE)
     canvas.line([(_WIDTH / 2 + side * _MAP_END * _MAP_SCALE, middle) for side in (-1, 1)], GREY, 3)

@@ -1,7 +1,7 @@
-"""The model of HalfCheetah (tasks 3 and 4), its markers along the ground, and what is observed.
+"""HalfCheetah's model (tasks 3 and 4), markers and observations.
 
-Physics, frame skip and reset noise are those of gymnasium's ``HalfCheetah-v5``, whose model file is used;
-what that class does besides (rewards, a viewer, force sensors) is left out.
+Physics, frame skip, reset noise and the model file are those of gymnasium's ``HalfCheetah-v5``; its rewards, force
+sensors and viewer are omitted.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ JOINTS = 6
 _POSITIONS = 3 + JOINTS  # x, z, pitch and the joints; as many velocities
 X, _PITCH = 0, 2
 _MARKER_SCALE = 4.0  # from one marker to the next
-# Joints reach 1.2 and 30 rad/s under the wildest torques, the body 1 m, 10 m/s and 12 rad/s.
+# Under extreme torques, joints reach 1.2 rad and 30 rad/s, the body 1 m, 10 m/s and 12 rad/s.
 _SCALES = np.array([10.0, 1.0, 1.0, *[1.25] * JOINTS, 10.0, 6.0, 12.0, *[30.0] * JOINTS])
 _MARKERS_BY_SCALE = np.array(MARKERS) / _MARKER_SCALE
 _FEATURES = 2 * _POSITIONS + 1 + len(MARKERS)
@@ -42,16 +42,15 @@ _FEATURES = 2 * _POSITIONS + 1 + len(MARKERS)
 
 @cache
 def load_model() -> Any:
-    """Gymnasium's half-cheetah as a ``mujoco.MjModel``, shared by all environments since stepping only reads it."""
-    # Compiled from a specification, because loading the file directly logs a deprecation of MuJoCo 4 into the
-    # current folder.
+    """Gymnasium's half-cheetah as a ``mujoco.MjModel``, shared, since stepping only reads it."""
+    # Compiled from a spec, because loading the file directly logs a MuJoCo 4 deprecation to the current folder.
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
         return mujoco.MjSpec.from_file(str(_MODEL_FILE)).compile()
 
 
 def observation_space(observation: Observation) -> spaces.Box:
-    """The observation space; raw numbers have no bounds.
+    """The observation space; raw observations are unbounded.
 
     Raises:
         ValueError: if ``observation`` is neither "features" nor "raw".
@@ -63,7 +62,7 @@ def observation_space(observation: Observation) -> spaces.Box:
 
 
 def labels_at(x: float) -> frozenset[str]:
-    """The markers that are near ``x``."""
+    """The markers near ``x``."""
     near = zip(PROPOSITIONS, MARKERS, strict=True)
     return frozenset([name for name, marker in near if abs(x - marker) < MARKER_REACH])
 
@@ -71,7 +70,7 @@ def labels_at(x: float) -> frozenset[str]:
 def observe(
     positions: NDArray[np.float64], velocities: NDArray[np.float64], observation: Observation
 ) -> NDArray[np.float32]:
-    """The observation of qpos (9,) and qvel (9,), see ``envs.halfcheetah.HalfCheetahEnv``; a fresh array."""
+    """The observation of qpos (9,) and qvel (9,), see ``envs.halfcheetah.HalfCheetahEnv``; a new array."""
     numbers = np.concatenate([positions, velocities])
     if observation == "raw":
         return numbers.astype(np.float32)

@@ -30,20 +30,18 @@ from envs.racecar_track import START, TARGETS, Walls
 class RacecarEnv(gymnasium.Env[NDArray[Any], Any]):
     """One car; id ``t4nmtd/Racecar-v0``, contract in ``envs.protocol.SnapshotEnv``.
 
-    Action: forces in [-1, 1]^2 on a mass of 1 for 0.1 time units; speed is clipped to 0.5 per axis, friction
-    there is none. A move that meets a wall, the outer square or the obstacle in the middle, puts the car back
-    to the start, at rest.
+    Action: forces in [-1, 1]^2 on a mass of 1 for 0.1 time units, without friction; speed is clipped to 0.5 per axis.
+    Hitting a wall (outer square or central obstacle) returns the car to the start, at rest.
 
-    Labels: ``g1`` to ``g4`` if the car was in that target *before* the move of the step; ``wall`` if the step
-    before met a wall. At reset those that the first step reports, hence none. An environment never terminates.
+    Labels: ``g1`` to ``g4`` if the car was in that target *before* the step's move; ``wall`` if the previous step hit a
+    wall. At reset none. The environment never terminates.
 
-    Observation ``"features"``, 23 numbers in [-1, 1]: position (by 1.5), velocity (by 0.5); clearance from
-    the outer square and from the obstacle's circle (by 1.5 and 2); 1 if the next step will report ``wall``;
-    and for each target its offset from the car (by 2.25), its distance (by 3.2), and 1 if the next step will
-    report it.
+    Observation ``"features"``, 23 numbers in [-1, 1]: position (by 1.5), velocity (by 0.5); clearance from the outer
+    square and the obstacle's circle (by 1.5 and 2); 1 if the next step will report ``wall``; per target its offset from
+    the car (by 2.25), its distance (by 3.2), and 1 if the next step will report it.
 
-    Observation ``"raw"``, the authors' 9 numbers: x, y, vx, vy, the four target distances before the move (0
-    at reset), and 1 if the step reported ``wall``.
+    Observation ``"raw"``, the authors' 9 numbers: x, y, vx, vy, the four target distances before the move (0 at reset),
+    and 1 if the step reported ``wall``.
     """
 
     metadata = {"render_modes": ["rgb_array"], "render_fps": 10}  # noqa: RUF012 - gymnasium's own convention
@@ -56,7 +54,7 @@ class RacecarEnv(gymnasium.Env[NDArray[Any], Any]):
             render_mode: None or "rgb_array".
 
         Raises:
-            ValueError: if an argument is none of these.
+            ValueError: if an argument is invalid.
         """
         checked_choice("render_mode", render_mode, (None, "rgb_array"))
         self.propositions: tuple[str, ...] = PROPOSITIONS
@@ -71,40 +69,40 @@ class RacecarEnv(gymnasium.Env[NDArray[Any], Any]):
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[NDArray[np.float32], dict[str, Any]]:
-        """Back to the start; the same for every seed. Options are ignored."""
+        """Reset to the start, independently of the seed. Options are ignored."""
         super().reset(seed=seed)
         self._state = start_state()
         self._labels = due_labels(self._state)
         return self._observe(), {"labels": self._labels}
 
     def step(self, action: Any) -> tuple[NDArray[np.float32], float, bool, bool, dict[str, Any]]:
-        """Apply two forces, array of shape (2,).
+        """Apply two forces, shape (2,).
 
         Raises:
-            ValueError: if ``action`` has another shape or type, holds NaN or is not within +-1.
+            ValueError: if ``action`` has the wrong shape or type, is NaN or not within +-1.
         """
         fx, fy = checked_box_actions(self._forces, TOP_FORCE, action, (2,)).tolist()
-        # Quirk: labels are of the state before the move, so a wall that is hit shows in the next step's.
+        # Quirk: labels describe the state before the move, so the next step reports a wall hit.
         self._labels = due_labels(self._state)
         self._move(fx, fy)
         return self._observe(), 0.0, False, False, {"labels": self._labels}
 
     def get_state(self) -> NDArray[np.float64]:
-        """A snapshot: float64 array of shape (10,), see ``envs.racecar_rules``."""
+        """A snapshot: float64 (10,), see ``envs.racecar_rules``."""
         return np.array(self._state)
 
     def set_state(self, state: NDArray[Any]) -> NDArray[np.float32]:
-        """Restore a snapshot; returns the observation there.
+        """Restore a snapshot; returns its observation.
 
         Raises:
-            ValueError: if ``state`` is no snapshot of a Racecar; nothing changes then.
+            ValueError: if ``state`` is not a snapshot of Racecar; the environment is then unchanged.
         """
         self._state = checked_state(state)
         self._labels = due_labels(self._state)
         return self._observe()
 
     def render(self) -> NDArray[np.uint8] | None:
-        """The track and the labels, uint8 array of shape (536, 500, 3); None without a render mode."""
+        """The track and the labels, uint8 (536, 500, 3); None without a render mode."""
         if self.render_mode is None:
             return None
         from envs.racecar_drawing import render_track

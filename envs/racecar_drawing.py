@@ -1,4 +1,4 @@
-"""How Racecar is drawn."""
+"""Renders Racecar."""
 
 from __future__ import annotations
 
@@ -13,12 +13,12 @@ _HALF_WIDTH = 250  # pixels
 
 
 def _pixels(x: float, y: float) -> tuple[float, float]:
-    """Where a place of the track is in the picture; y points up on the track."""
+    """Pixel coordinates of a track position."""
     return _HALF_WIDTH + x * _SCALE, _HALF_WIDTH - y * _SCALE
 
 
 def render_track(state: list[float], propositions: tuple[str, ...], labels: frozenset[str]) -> NDArray[np.uint8]:
-    """A picture of one state with its labels: uint8 array of shape (536, 500, 3)."""
+    """Render one state with its labels: uint8 (536, 500, 3)."""
     canvas = Canvas(2 * _HALF_WIDTH, 2 * _HALF_WIDTH + LABEL_BAND_HEIGHT, DARK)
     inside = (*_pixels(-OUTER, OUTER), *_pixels(OUTER, -OUTER))
     canvas.rectangle(inside, fill=(238, 240, 242))
@@ -36,7 +36,7 @@ def render_track(state: list[float], propositions: tuple[str, ...], labels: froz
 
 
 def _draw_targets(canvas: Canvas, labels: frozenset[str]) -> None:
-    """Discs with their names, paler while they are not reported."""
+    """Discs with their names, paler while not reported."""
     for number, (x, y) in enumerate(TARGETS, start=1):
         fill = GREEN if f"g{number}" in labels else (188, 228, 214)
         canvas.disc(*_pixels(x, y), TARGET_RADIUS * _SCALE, fill=fill, outline=GREEN, width=2)
@@ -44,7 +44,7 @@ def _draw_targets(canvas: Canvas, labels: frozenset[str]) -> None:
 
 
 def _draw_car(canvas: Canvas, state: list[float]) -> None:
-    """A disc with an arrow for its velocity: where it would be a time unit later."""
+    """A disc with an arrow for its velocity per time unit."""
     x, y, vx, vy = state[:4]
     canvas.line([_pixels(x, y), _pixels(x + vx, y + vy)], ORANGE, 3)
     canvas.disc(*_pixels(x, y), 7, fill=BLUE, outline=WHITE, width=2)

@@ -1,7 +1,7 @@
-"""The states of Racecar (tasks 5 and 6): what a valid one is, what it reports and what is observed there.
+"""Racecar's states (tasks 5 and 6): validation, labels and observations.
 
-A state, and so a snapshot, is 10 float64: x, y, vx, vy; the four target distances and the wall flag that the last
-step reported; and 1 if that step ended at a wall, so that the next one reports it.
+A state, and so a snapshot, is 10 float64: x, y, vx, vy; the four target distances and the wall flag reported by the
+last step; and 1 if that step hit a wall, so that the next one reports it.
 """
 
 from __future__ import annotations
@@ -55,7 +55,7 @@ def start_state() -> list[float]:
 
 
 def due_labels(state: list[float]) -> frozenset[str]:
-    """What the next step reports, decided by the present state."""
+    """Labels of the next step, determined by the current state."""
     x, y = state[:2]
     due = [
         name
@@ -66,7 +66,7 @@ def due_labels(state: list[float]) -> frozenset[str]:
 
 
 def features(state: list[float]) -> list[float]:
-    """The 23 numbers that ``envs.racecar.RacecarEnv`` describes."""
+    """The 23 features described in ``envs.racecar.RacecarEnv``."""
     x, y, vx, vy = state[:4]
     outer = (OUTER - max(abs(x), abs(y))) / OUTER
     inner = (math.hypot(x, y) - OBSTACLE_RADIUS) / 2
@@ -80,10 +80,10 @@ def features(state: list[float]) -> list[float]:
 
 
 def checked_state(snapshot: object) -> list[float]:
-    """A snapshot as a state.
+    """Validate a snapshot as a state.
 
     Raises:
-        ValueError: if it is none.
+        ValueError: if it is invalid.
     """
     rows = snapshot[None] if isinstance(snapshot, np.ndarray) else snapshot
     state: list[float] = checked_snapshots("Racecar", rows, 1, STATE_SIZE, "f")[0].tolist()

@@ -1,4 +1,4 @@
-"""The track of Racecar: targets, and walls as static segments of a pymunk space."""
+"""Racecar's track: targets, and walls as static segments of a pymunk space."""
 
 from __future__ import annotations
 
@@ -22,9 +22,9 @@ OBSTACLE: tuple[Point, ...] = tuple(
     for angle in (2 * math.pi * side / OBSTACLE_SIDES for side in range(OBSTACLE_SIDES))
 )
 
-# How far beyond its end a move is tested. Chipmunk's query asks whether a segment crosses a wall: one that ends
-# exactly on it does not, and the next one, which begins there, does not either, so that the car would get
-# through. (Walls with a thickness would not do: their round ends leave gaps at the corners.)
+# Moves are extended by this length for the wall test. Chipmunk tests whether a segment crosses a wall. A move that ends
+# exactly on it does not, nor does the next one, which begins there, so the car would pass through. (Thick walls do not
+# help: their round ends leave gaps at the corners.)
 _BEYOND = 1e-12
 _ANY_WALL = pymunk.ShapeFilter()
 
@@ -39,7 +39,7 @@ class Walls:
                 self._space.add(pymunk.Segment(self._space.static_body, a, b, 0.0))
 
     def met(self, old: Point, new: Point) -> bool:
-        """Whether the straight move from ``old``, on the track, to ``new`` meets a wall, touching included."""
+        """Whether the straight move from ``old``, on the track, to ``new`` meets a wall."""
         dx, dy = new[0] - old[0], new[1] - old[1]
         length = math.hypot(dx, dy)
         if length == 0:
@@ -49,7 +49,7 @@ class Walls:
 
 
 def on_track(x: float, y: float) -> bool:
-    """Whether a place is inside the square and outside the obstacle, by more than rounding of the walls."""
+    """Whether a point is inside the square and outside the obstacle, up to rounding."""
     half_angle = math.pi / OBSTACLE_SIDES
     from_edge_middle = math.atan2(y, x) % (2 * half_angle) - half_angle
     height = math.hypot(x, y) * math.cos(from_edge_middle)  # over the centre, across the nearest edge

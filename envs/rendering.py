@@ -1,7 +1,7 @@
-"""Drawing for ``render_mode="rgb_array"``: shapes, text and the band of labels, on Pillow.
+"""Drawing for ``render_mode="rgb_array"`` with Pillow: shapes, text and the label band.
 
-Shapes are drawn three times too large and scaled down, which smooths their edges. Pillow is imported with
-this module, and environments import this module when they first render.
+Shapes are drawn three times too large and scaled down for antialiasing. This module imports Pillow, and environments
+import this module when they first render.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ from PIL import Image, ImageDraw, ImageFont
 
 Colour = tuple[int, int, int]
 
-# The colour-blind-safe palette of Okabe and Ito, and greys.
+# Okabe and Ito's colour-blind-safe palette, and greys.
 ORANGE: Colour = (230, 159, 0)
 SKY: Colour = (86, 180, 233)
 GREEN: Colour = (0, 158, 115)
@@ -33,7 +33,7 @@ _OVERSAMPLING = 3
 
 
 class Canvas:
-    """A picture to draw on; coordinates in pixels of the frame, origin at the top left, y downwards."""
+    """An image in frame pixels; origin at the top left, y downwards."""
 
     def __init__(self, width: int, height: int, background: Colour = WHITE) -> None:
         self.width = width
@@ -49,7 +49,7 @@ class Canvas:
         width: float = 1,
         radius: float = 0,
     ) -> None:
-        """A rectangle (left, top, right, bottom), with rounded corners where ``radius`` is above 0."""
+        """A rectangle (left, top, right, bottom), with rounded corners if ``radius`` > 0."""
         box = [value * _OVERSAMPLING for value in corners]
         self._draw.rounded_rectangle(
             box, radius * _OVERSAMPLING, fill, outline, round(width * _OVERSAMPLING) if outline else 0
@@ -79,10 +79,7 @@ class Canvas:
     def label_band(self, propositions: Sequence[str], true: Collection[str], note: str = "") -> None:
         """The labels along the bottom, ``LABEL_BAND_HEIGHT`` high: true ones filled, false ones hollow.
 
-        Args:
-            propositions: every name, in the order to draw.
-            true: the names that are true.
-            note: a word at the right end, such as "ended".
+        ``note`` is a word at the right end, such as "ended".
         """
         top = self.height - LABEL_BAND_HEIGHT
         middle = top + LABEL_BAND_HEIGHT / 2
@@ -103,6 +100,6 @@ class Canvas:
             self.text(self.width - 8 - 4 * len(note), middle, note, VERMILION)
 
     def to_array(self) -> NDArray[np.uint8]:
-        """The finished frame: uint8 array of shape (height, width, 3)."""
+        """The finished frame: uint8 (height, width, 3)."""
         smooth = self._image.resize((self.width, self.height), Image.Resampling.BOX)
         return np.array(smooth, dtype=np.uint8)

@@ -1,4 +1,4 @@
-"""What the batched environments share: Gymnasium's vector interface, row selection and snapshots."""
+"""Base of the batched environments: Gymnasium's vector interface, row selection and snapshots."""
 
 from __future__ import annotations
 
@@ -17,13 +17,10 @@ Rows = NDArray[np.intp]
 
 
 class SnapshotBatch(VectorEnv[NDArray[np.float32], NDArray[Any], NDArray[Any]], ABC):
-    """N copies of a world, stepped together; contract in ``envs.protocol.SnapshotVectorEnv``.
-
-    Rows never reset themselves. One that has terminated stays as it is and reports ``terminated`` until it is reset
-    or set. Every returned array is fresh.
+    """N environments stepped together; contract in ``envs.protocol.SnapshotVectorEnv``.
 
     Attributes:
-        generators: one random generator per row; empty if nothing in this world is random.
+        generators: one random generator per row; empty if the environment is deterministic.
     """
 
     metadata = {  # noqa: RUF012 - gymnasium's own convention
@@ -39,17 +36,10 @@ class SnapshotBatch(VectorEnv[NDArray[np.float32], NDArray[Any], NDArray[Any]], 
         action_space: spaces.Space[Any],
         render_mode: str | None,
     ) -> None:
-        """Check what every world checks.
-
-        Args:
-            num_envs: N, at least 1.
-            propositions: the names of the label columns.
-            observation_space: of one copy.
-            action_space: of one copy.
-            render_mode: None or "rgb_array".
+        """Validate and store the common arguments; the spaces are those of one environment.
 
         Raises:
-            ValueError: if ``num_envs`` or ``render_mode`` is none of these.
+            ValueError: if ``num_envs`` or ``render_mode`` is invalid.
         """
         checked_choice("render_mode", render_mode, (None, "rgb_array"))
         self.num_envs = checked_count(num_envs)
@@ -63,17 +53,17 @@ class SnapshotBatch(VectorEnv[NDArray[np.float32], NDArray[Any], NDArray[Any]], 
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[NDArray[np.float32], dict[str, Any]]:
-        """Put rows back to the start.
+        """Reset rows to the start.
 
         Args:
-            seed: row i, if it is reset, gets seed + i for whatever is random in it.
-            options: ``{"reset_mask": bool [N]}`` resets only the rows where it is true.
+            seed: row i gets seed + i.
+            options: ``{"reset_mask": bool [N]}`` selects the rows to reset.
 
         Returns:
-            Observations [N, d] and ``{"labels": bool [N, P]}`` of all rows, reset or not.
+            Observations [N, d] and ``{"labels": bool [N, P]}`` of all rows.
 
         Raises:
-            ValueError: if the mask is no bool array of shape (N,), or true nowhere.
+            ValueError: if the mask is not bool (N,), or all false.
         """
         super().reset(seed=seed)
         self._start(rows_to_reset(options, self.num_envs), seed)
@@ -85,21 +75,21 @@ class SnapshotBatch(VectorEnv[NDArray[np.float32], NDArray[Any], NDArray[Any]], 
         """Take one action in every row.
 
         Args:
-            actions: of shape (N,) or (N, A), all within the action space.
+            actions: of shape (N,) or (N, A).
 
         Returns:
-            Observations float32 [N, d], rewards float64 [N] of zero, terminated bool [N], truncated bool [N]
-            of false, and ``{"labels": bool [N, P]}``.
+            Observations float32 [N, d], rewards float64 [N] of zero, terminated bool [N], truncated bool [N] of false,
+            and ``{"labels": bool [N, P]}``.
 
         Raises:
-            ValueError: if the actions are of another shape or type, NaN or out of bounds; no row has moved then.
+            ValueError: if the actions have the wrong shape or type, are NaN or out of bounds; no row moves then.
         """
         terminated = self._advance(actions)
         truncated = np.zeros(self.num_envs, dtype=np.bool_)
         return self._observe(), np.zeros(self.num_envs), terminated, truncated, {"labels": self._labels()}
 
     def get_states(self, indices: ArrayLike) -> NDArray[Any]:
-        """Snapshots of the rows ``indices`` [k]: array of shape (k, s), see the rules of the world.
+        """Snapshots of the rows ``indices`` [k]: shape (k, s), defined in the environment's rules.
 
         Raises:
             ValueError: if an index is not an integer in 0..N-1.
@@ -110,41 +100,40 @@ class SnapshotBatch(VectorEnv[NDArray[np.float32], NDArray[Any], NDArray[Any]], 
         """Restore snapshots (k, s) into the rows ``indices`` [k]; returns their observations (k, d).
 
         Raises:
-            ValueError: if an index is out of range or named twice, or a row of ``states`` is no snapshot of
-                this world; no row is changed then.
+            ValueError: if an index is out of range or duplicate, or a snapshot is invalid; no row is changed then.
         """
         return self._restore(checked_distinct_indices(indices, self.num_envs), states)
 
     def render(self) -> tuple[NDArray[np.uint8], ...] | None:
-        """One picture per row, each uint8 [height, width, 3]; None without a render mode."""
+        """One frame per row, each uint8 [height, width, 3]; None without a render mode."""
         if self.render_mode is None:
             return None
         return tuple(self._picture(row) for row in range(self.num_envs))
 
     @abstractmethod
     def _start(self, rows: Rows, seed: int | None) -> None:
-        """Put ``rows`` into start states."""
+        """Reset ``rows`` to start states."""
 
     @abstractmethod
     def _advance(self, actions: ArrayLike) -> NDArray[np.bool_]:
-        """Check the actions, then step every row; terminated, bool [N]."""
+        """Validate the actions and step every row; returns terminated, bool [N]."""
 
     @abstractmethod
     def _observe(self) -> NDArray[np.float32]:
-        """Observations of all rows, a fresh array (N, d)."""
+        """Observations of all rows, a new array (N, d)."""
 
     @abstractmethod
     def _labels(self) -> NDArray[np.bool_]:
-        """Labels of all rows, a fresh array (N, P)."""
+        """Labels of all rows, a new array (N, P)."""
 
     @abstractmethod
     def _snapshots(self, rows: Rows) -> NDArray[Any]:
-        """Snapshots of ``rows``, a fresh array (k, s)."""
+        """Snapshots of ``rows``, a new array (k, s)."""
 
     @abstractmethod
     def _restore(self, rows: Rows, snapshots: NDArray[Any]) -> NDArray[np.float32]:
-        """Check snapshots (k, s), put them into ``rows``, and return the observations there (k, d)."""
+        """Validate snapshots (k, s), restore ``rows``, and return their observations (k, d)."""
 
     @abstractmethod
     def _picture(self, row: int) -> NDArray[np.uint8]:
-        """A picture of one row."""
+        """Render one row."""

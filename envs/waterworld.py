@@ -1,4 +1,4 @@
-"""Waterworld: N ponds, moved by pymunk and observed together, and the single pond as a batch of one."""
+"""Waterworld: N ponds, moved by pymunk and observed together, and a single one."""
 
 from __future__ import annotations
 
@@ -27,9 +27,9 @@ from envs.waterworld_rules import (
 
 
 class WaterworldVectorEnv(SnapshotBatch):
-    """N ponds as described in ``WaterworldEnv``. No pond ever terminates.
+    """N ponds as described in ``WaterworldEnv``.
 
-    With ``map="random"`` row i reset with seed s draws the maps of a single environment reset with s + i.
+    With ``map="random"``, row i reset with seed s has the maps of a single environment reset with s + i.
     """
 
     metadata = {**SnapshotBatch.metadata, "render_fps": 10}  # noqa: RUF012 - gymnasium's own convention
@@ -42,17 +42,10 @@ class WaterworldVectorEnv(SnapshotBatch):
         observation: Observation = "features",
         render_mode: str | None = None,
     ) -> None:
-        """Make N ponds in a start state.
-
-        Args:
-            num_envs: N, at least 1.
-            colours: 6 (18 balls, task 1) or 8 (24 balls, task 2).
-            map: "paper", a seed for a map that is drawn once, or "random" for a fresh map at every reset.
-            observation: "features" or "raw".
-            render_mode: None or "rgb_array".
+        """Make ``num_envs`` ponds in a start state; other arguments as for ``WaterworldEnv``.
 
         Raises:
-            ValueError: if an argument is none of these.
+            ValueError: if an argument is invalid.
         """
         self.palette = palette_of(colours)
         self._commands = symmetric_box(TOP_COMMAND, 2)
@@ -91,7 +84,7 @@ class WaterworldVectorEnv(SnapshotBatch):
         return observe(self.palette, restored, self._observation)
 
     def _put(self, rows: Rows, states: NDArray[np.float64]) -> None:
-        """Put ``rows`` into states (4, k, balls + 1); their labels are what is touched there."""
+        """Set ``rows`` to states (4, k, balls + 1) and report what is touched there."""
         self._ponds.put(rows, states)
         self._reported[rows] = self._ponds.touches()[rows]
 
@@ -104,27 +97,24 @@ class WaterworldVectorEnv(SnapshotBatch):
 class WaterworldEnv(BatchOfOne):
     """One pond of balls; id ``t4nmtd/Waterworld-v0``, contract in ``envs.protocol.SnapshotEnv``.
 
-    The agent and three balls of each colour move in a field of 30 by 30, the balls by straight lines that
-    walls reflect. Nothing collides. Motion and touches are pymunk's.
+    The agent and three balls of each colour move in a field of 30 by 30; balls move straight and bounce off walls.
+    Nothing collides. pymunk computes motion and touches.
 
-    Action: a velocity in [-3.5, 3.5]^2, which takes effect in the *next* step.
+    Action: a velocity in [-3.5, 3.5]^2, effective in the *next* step.
 
-    Labels: the colours of the balls that touched the agent *before* the move of the step. At reset, and
-    after ``set_state`` in a picture, those touched there, which the first step reports once more. An environment
-    never terminates.
+    Labels: the colours of the balls that touched the agent *before* the step's move. At reset, and when rendering after
+    ``set_state``, those touched there, which the first step reports again. The environment never terminates.
 
     Observation ``"features"``: 144 numbers in [-1, 1] for 6 colours, 190 for 8.
 
-    - agent: position (-1 to 1), velocity (by 3.5), and per axis 1 if a wall makes the coming step ignore its
-      command;
-    - for each colour 1 if the coming step will report it; then for each colour 1 if the step after it will:
-      both are beyond the agent's power by now;
-    - for each ball, colour by colour in the order of ``propositions`` and within a colour the nearest first:
-      1 if some command can touch it, and then the command (by 4.5) that would put the agent's centre on the
-      ball's two moves from now, which is the first place the present command can reach (0 on an axis whose
-      command is ignored), or 0, 0; the offset from the agent to the ball now (by 240); and the ball's velocity
-      (by 8 times its top speed). A command touches the ball if it is off by at most 1 per axis. The last four
-      numbers are small so that the few balls within reach are not drowned by the many that are not.
+    - agent: position (-1 to 1), velocity (by 3.5), and per axis 1 if a wall makes the coming step ignore its command;
+    - per colour 1 if the coming step will report it; then per colour 1 if the step after it will: the agent can no
+      longer influence either;
+    - per ball, by colour in the order of ``propositions`` and nearest first: 1 if some command can touch it, and then
+      the command (by 4.5) that would put the agent's centre on the ball's two moves from now, the first position the
+      present command can reach (0 on an axis whose command is ignored), else 0, 0; the current offset from the agent
+      (by 240); and the ball's velocity (by 8 times its top speed). A command touches the ball if it is off by at most 1
+      per axis. The last four numbers are small so that distant balls do not drown the few within reach.
 
     Observation ``"raw"``, the authors' 76 or 100 numbers: x, y, vx, vy of each ball, then of the agent.
     """
@@ -142,23 +132,17 @@ class WaterworldEnv(BatchOfOne):
 
         Args:
             colours: 6 (18 balls, task 1) or 8 (24 balls, task 2).
-            map: "paper", a seed for a map that is drawn once, or "random" for a fresh map at every reset.
+            map: "paper", a seed for one fixed map, or "random" for a new map at every reset.
             observation: "features" or "raw".
             render_mode: None or "rgb_array".
 
         Raises:
-            ValueError: if an argument is none of these.
+            ValueError: if an argument is invalid.
         """
         super().__init__(WaterworldVectorEnv(1, colours, map, observation, render_mode))
 
 
 def start_states(palette: Palette, choice: int | str, generators: Sequence[np.random.Generator]) -> NDArray[np.float64]:
-    """States after a reset, array of shape (4, N, balls + 1).
-
-    Args:
-        palette: the colours.
-        choice: the constructor keyword ``map``.
-        generators: N of them, for random maps.
-    """
+    """States after a reset, shape (4, N, balls + 1); ``choice`` is the keyword ``map``."""
     maps = [np.append(starting_balls(palette, choice, generator), START) for generator in generators]
     return to_states(np.stack(maps))

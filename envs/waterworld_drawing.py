@@ -1,4 +1,4 @@
-"""How a Waterworld is drawn."""
+"""Renders Waterworld."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ _PAINT: dict[str, Colour] = {
 
 
 def render_pond(palette: Palette, state: NDArray[np.float64], labels: NDArray[np.bool_]) -> NDArray[np.uint8]:
-    """A picture of one state (4, balls + 1) with labels (colours,): uint8 array of shape (540, 504, 3)."""
+    """Render one state (4, balls + 1) with labels (colours,): uint8 (540, 504, 3)."""
     size = SIDE * _SCALE + 2 * _MARGIN
     canvas = Canvas(size, size + LABEL_BAND_HEIGHT, PALE)
     edges = (_MARGIN, _MARGIN, size - _MARGIN, size - _MARGIN)
@@ -39,19 +39,19 @@ def render_pond(palette: Palette, state: NDArray[np.float64], labels: NDArray[np
 
 
 def _pixels(x: float, y: float) -> tuple[float, float]:
-    """Where a place of the field is in the picture; y points up in the field."""
+    """Pixel coordinates of a field position."""
     return _MARGIN + x * _SCALE, _MARGIN + (SIDE - y) * _SCALE
 
 
 def _draw_ball(canvas: Canvas, ball: NDArray[np.float64], colour: Colour) -> None:
-    """A disc, and a line to where it will be after the next step."""
+    """A disc, and a line to its next position."""
     x, y = _pixels(ball[0], ball[1])
     canvas.line([(x, y), _pixels(ball[0] + ball[2], ball[1] + ball[3])], colour, 2)
     canvas.disc(x, y, RADIUS * _SCALE, fill=colour, outline=DARK, width=1)
 
 
 def _draw_agent(canvas: Canvas, agent: NDArray[np.float64]) -> None:
-    """An orange disc, the box within which centres of balls touch it, and its velocity."""
+    """An orange disc, its touch box, and its velocity."""
     x, y = _pixels(agent[0], agent[1])
     reach = 2 * RADIUS * _SCALE
     canvas.line([(x, y), _pixels(agent[0] + agent[2], agent[1] + agent[3])], ORANGE, 3)

@@ -1,4 +1,4 @@
-"""Where the balls of Waterworld start: the paper's two maps, and maps drawn at random."""
+"""Start positions of Waterworld's balls: the paper's two maps, and random maps."""
 
 from __future__ import annotations
 
@@ -26,11 +26,11 @@ _PAPER_24 = (
 
 @dataclass(frozen=True)
 class Palette:
-    """The colours of a Waterworld and what its maps may hold.
+    """A Waterworld's colours and the limits of its maps.
 
     Attributes:
-        colours: names in the order of the balls, three balls each; also the propositions.
-        top_speed: largest speed of a ball along an axis, in units per step.
+        colours: names in ball order, three balls each; also the propositions.
+        top_speed: maximum ball speed along an axis, in units per step.
         paper_map: positions and velocities of the paper's map, each as text "(x,y)(x,y)...".
     """
 
@@ -61,7 +61,7 @@ def palette_of(colours: int) -> Palette:
 
 
 def checked_map(choice: object) -> int | str:
-    """The constructor keyword ``map``.
+    """Validate the constructor keyword ``map``.
 
     Raises:
         ValueError: if it is not "paper", "random" or an integer of at least 0.
@@ -74,12 +74,12 @@ def checked_map(choice: object) -> int | str:
 
 
 def paper_map(palette: Palette) -> NDArray[np.float64]:
-    """The paper's map: array of shape (balls, 4), each row x, y, vx, vy."""
+    """The paper's map: shape (balls, 4) with rows x, y, vx, vy."""
     return np.concatenate([_pairs(text) for text in palette.paper_map], axis=1)
 
 
 def random_map(palette: Palette, generator: np.random.Generator) -> NDArray[np.float64]:
-    """A map with uniform integer positions and velocities: array of shape (balls, 4)."""
+    """A map with uniform integer positions and velocities: shape (balls, 4)."""
     shape = (palette.balls, 2)
     positions = generator.integers(0, SIDE, shape, endpoint=True)
     velocities = generator.integers(-palette.top_speed, palette.top_speed, shape, endpoint=True)
@@ -87,12 +87,9 @@ def random_map(palette: Palette, generator: np.random.Generator) -> NDArray[np.f
 
 
 def starting_balls(palette: Palette, choice: int | str, generator: np.random.Generator) -> NDArray[np.float64]:
-    """The balls at a reset: array of shape (balls, 4).
+    """The balls at a reset: shape (balls, 4).
 
-    Args:
-        palette: the colours.
-        choice: "paper", "random", or the seed of a map, the same at every reset.
-        generator: what a "random" map is drawn from; the other choices leave it alone.
+    ``choice`` is the keyword ``map``; only "random" draws from ``generator``.
     """
     if choice == "paper":
         return paper_map(palette)

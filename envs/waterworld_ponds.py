@@ -13,31 +13,31 @@ from numpy.typing import NDArray
 from envs.waterworld_maps import BALLS_PER_COLOUR, Palette
 from envs.waterworld_rules import RADIUS, finish_move
 
-# At most 32, the bits of a shape's category. Copies share the cost of bulk reads, but those that lie on top of
-# each other are compared in every step: 8 is where a step is cheapest (14 us a copy; 16 with 4, 21 with 32).
+# At most 32, the bits of a shape's category. Copies share the cost of bulk reads, but overlapping ones are compared in
+# every step: steps are cheapest with 8 (14 us per copy; 16 with 4, 21 with 32).
 COPIES_PER_SPACE = 8
 _POSITION_AND_VELOCITY = pymunk.batch.BodyFields.POSITION | pymunk.batch.BodyFields.VELOCITY
-_GROUP = 1  # of all shapes, so that balls pass through each other and through the agent
-_NO_CATEGORY = 0  # what no query asks for
+_GROUP = 1  # shared by all shapes, so that nothing collides
+_NO_CATEGORY = 0  # matched by no query
 
 
 class Pond:
     """Up to ``COPIES_PER_SPACE`` copies of Waterworld as kinematic bodies of one pymunk space.
 
-    The copies lie on top of each other and do not notice: nothing collides, and the balls of each copy have a
-    category of their own, for which the copy's query asks. A common space makes bulk reads worth their while.
+    The copies overlap without interaction: nothing collides, and each copy's query selects its own balls by category. A
+    shared space makes bulk reads worthwhile.
 
     Attributes:
-        states: array of shape (4, copies, balls + 1), a view of the batch: x, y, vx, vy of the bodies as of
-            the last ``move``, or as they are to be after the next ``write``.
+        states: x, y, vx, vy of the bodies after the last ``move``, or for the next ``write``: shape (4, copies, balls +
+            1), a view of the batch.
     """
 
     def __init__(self, states: NDArray[np.float64]) -> None:
-        """Make the bodies, which are nowhere until ``write``; three balls per colour, the agent last."""
+        """Create the bodies, placed by ``write``; three balls per colour, the agent last."""
         _, copies, bodies = states.shape
         self.states = states
         self._space = pymunk.Space()
-        # Everything moves far in each step: hashing by place is faster then than pymunk's usual tree.
+        # Everything moves far in each step, so spatial hashing is faster than pymunk's default tree.
         self._space.use_spatial_hash(4 * RADIUS, 1000)
         self._shapes: list[Any] = []
         self._colour: dict[Any, int] = {}
@@ -47,7 +47,7 @@ class Pond:
             self._add(_NO_CATEGORY)
         self._agents = self._shapes[bodies - 1 :: bodies]
         self._own_balls = [pymunk.ShapeFilter(mask=1 << copy) for copy in range(copies)]
-        self._rows = np.empty((copies, bodies, 4))  # in the order in which bodies were added, as pymunk reads
+        self._rows = np.empty((copies, bodies, 4))  # in pymunk's order, that of adding
         self._read = pymunk.batch.Buffer()
         self._written = pymunk.batch.Buffer()
         self._written.set_float_buf(self._rows)
@@ -61,11 +61,11 @@ class Pond:
         return shape
 
     def write(self, displaced: Iterable[int]) -> None:
-        """Put the bodies where ``states`` says.
+        """Set the bodies to ``states``.
 
         Args:
-            displaced: bodies, as copy*(balls + 1) + number, whose positions have changed since the last
-                ``move``. Their bounding boxes are cached in the space: queries would miss them otherwise.
+            displaced: bodies, as copy*(balls + 1) + number, whose positions changed since the last ``move``. Queries
+                would miss them without updating the space's cached bounding boxes.
         """
         self._rows[:] = self.states.transpose(1, 2, 0)
         pymunk.batch.set_space_bodies(self._space, _POSITION_AND_VELOCITY, self._written)
@@ -75,7 +75,7 @@ class Pond:
     def touched(self) -> list[tuple[int, int]]:
         """Every (copy, colour) of a ball whose bounding box meets the agent's, borders included.
 
-        Quirk: balls are round, but touching is decided by boxes, |dx| <= 1 and |dy| <= 1.
+        Quirk: balls are round, but touching is tested on boxes, |dx| <= 1 and |dy| <= 1.
         """
         query = self._space.bb_query
         return [
@@ -85,7 +85,7 @@ class Pond:
         ]
 
     def move(self) -> None:
-        """One time unit: every body moves by its velocity; ``states`` follows."""
+        """Move every body by its velocity for one time unit and update ``states``."""
         self._space.step(1.0)
         self._read.clear()
         pymunk.batch.get_space_bodies(self._space, _POSITION_AND_VELOCITY, self._read)
@@ -97,11 +97,11 @@ class Ponds:
     """N copies of Waterworld, and the rules of a step.
 
     Attributes:
-        states: float64 array of shape (4, N, balls + 1), the present states; for reading.
+        states: float64 (4, N, balls + 1), the current states; read-only.
     """
 
     def __init__(self, palette: Palette, count: int) -> None:
-        """Make ``count`` copies with everything at (0, 0) until ``put``."""
+        """Create ``count`` copies with everything at (0, 0) until ``put``."""
         self._colours = len(palette.colours)
         self.states = np.zeros((4, count, palette.balls + 1))
         self._first_copies = range(0, count, COPIES_PER_SPACE)
@@ -109,14 +109,14 @@ class Ponds:
         self.put(np.arange(count), self.states.copy())
 
     def put(self, rows: NDArray[np.intp], states: NDArray[np.float64]) -> None:
-        """Put the copies ``rows`` into states of shape (4, len(rows), balls + 1)."""
+        """Set the copies ``rows`` to states of shape (4, len(rows), balls + 1)."""
         self.states[:, rows] = states
         displaced = np.zeros(self.states.shape[1:], dtype=np.bool_)
         displaced[rows] = True
         self._write(displaced)
 
     def touches(self) -> NDArray[np.bool_]:
-        """What the agents touch now: bool array of shape (N, colours)."""
+        """Colours that the agents touch now: bool (N, colours)."""
         touches = np.zeros((self.states.shape[1], self._colours), dtype=np.bool_)
         for first, pond in zip(self._first_copies, self._ponds, strict=True):
             for copy, colour in pond.touched():
@@ -124,14 +124,11 @@ class Ponds:
         return touches
 
     def step(self, commands: NDArray[np.float64]) -> NDArray[np.bool_]:
-        """One step of every copy.
-
-        Args:
-            commands: array of shape (N, 2), the commanded velocities.
+        """Step every copy by commanded velocities, shape (N, 2).
 
         Returns:
-            Labels, bool array of shape (N, colours). Quirk: they are of the positions *before* the move, so
-            the automaton lags a step behind what is observed.
+            Labels, bool (N, colours). Quirk: they describe the positions *before* the move, so the automaton is one
+            step behind the observations.
         """
         labels = self.touches()
         for pond in self._ponds:

@@ -1,12 +1,10 @@
-"""The rules of Waterworld (tasks 1 and 2) on arrays of states, apart from motion and touches.
+"""Rules of Waterworld (tasks 1 and 2) on arrays of states.
 
-Those two are pymunk's, in ``envs.waterworld_ponds``. Here: what happens at the walls, how a command takes
-effect, what is observed, and what a valid snapshot is.
+``envs.waterworld_ponds`` handles motion and touches.
 
-The states of N copies are an array of shape (4, N, balls + 1): the planes x, y, vx, vy of the balls in the
-order of the colours, and of the agent last. (Planes, because numpy is fast along long axes.) A snapshot is
-one flat row of float64, x, y, vx, vy of each ball and then of the agent: 76 numbers for 18 balls, 100 for 24.
-Lengths are in units of a field of 30 by 30, velocities in units per step.
+The states of N copies are an array (4, N, balls + 1): planes x, y, vx, vy (numpy is fast along long axes) of the balls
+in colour order, then of the agent. A snapshot is a flat float64 row: x, y, vx, vy of each ball, then of the agent, 76
+numbers for 18 balls, 100 for 24. The field is 30 by 30; velocities are per step.
 """
 
 from __future__ import annotations
@@ -30,9 +28,9 @@ START = (SIDE / 2, SIDE / 2, 0.0, 0.0)
 
 _AGENT_FEATURES = 6
 _BALL_FEATURES = 7
-TOUCH = 2 * RADIUS  # how far, per axis, the agent can be off a ball that it touches
-REACH = TOP_COMMAND + TOUCH  # how far, per axis, a ball can be off and yet be touched by a command
-DISTANT = 1 / 8  # how much smaller the numbers of all balls are than those of the few within reach: docs/decisions/018
+TOUCH = 2 * RADIUS  # maximum offset per axis between the agent and a ball it touches
+REACH = TOP_COMMAND + TOUCH  # maximum offset per axis of a ball that a command can touch
+DISTANT = 1 / 8  # scale of all balls' features relative to those within reach: docs/decisions/018
 
 
 def snapshot_size(palette: Palette) -> int:
@@ -51,13 +49,10 @@ def to_snapshots(states: NDArray[np.float64]) -> NDArray[np.float64]:
 
 
 def reflect(states: NDArray[np.float64]) -> NDArray[np.bool_]:
-    """Clamp what has reached a wall and turn its velocity round, axis by axis, in place.
-
-    Args:
-        states: array of shape (4, ...) of moved balls and agents.
+    """Clamp positions at the walls and reverse the velocity there, per axis, in place.
 
     Returns:
-        Bool array of shape (2, ...): the axes, x and y, that were turned round.
+        The reversed axes, x and y, of states (4, ...): bool (2, ...).
     """
     positions, velocities = states[:2], states[2:]
     turned: NDArray[np.bool_] = (positions <= 0) | (positions >= SIDE)
@@ -68,17 +63,17 @@ def reflect(states: NDArray[np.float64]) -> NDArray[np.bool_]:
 
 
 def finish_move(states: NDArray[np.float64], commands: NDArray[np.float64]) -> NDArray[np.bool_]:
-    """The rest of a step after everything has moved by its velocity, in place.
+    """Complete a step after everything has moved by its velocity, in place.
 
-    Quirk: the command becomes the velocity of the *next* step, since this step's move is already made; on an
-    axis on which the agent has reached a wall the command is ignored and the reversed velocity kept.
+    Quirk: the command becomes the velocity of the *next* step. On an axis where the agent reached a wall, it is ignored
+    and the reversed velocity kept.
 
     Args:
-        states: array of shape (4, N, balls + 1).
-        commands: array of shape (N, 2), within +-3.5.
+        states: shape (4, N, balls + 1).
+        commands: shape (N, 2), within +-3.5.
 
     Returns:
-        Bool array of shape (N, balls + 1): who has been at a wall.
+        bool (N, balls + 1): bodies that reached a wall.
     """
     turned = reflect(states)
     agent = states[2:, :, AGENT]
@@ -106,7 +101,7 @@ def observation_space(palette: Palette, observation: Observation) -> spaces.Box:
 
 
 def observe(palette: Palette, states: NDArray[np.float64], observation: Observation) -> NDArray[np.float32]:
-    """Observations of states (4, N, balls + 1), see ``envs.waterworld.WaterworldEnv``; a fresh (N, d)."""
+    """Observations of states (4, N, balls + 1), see ``envs.waterworld.WaterworldEnv``; a new array (N, d)."""
     if observation == "raw":
         return to_snapshots(states).astype(np.float32)
     return _features(palette, states)
@@ -114,12 +109,12 @@ def observe(palette: Palette, states: NDArray[np.float64], observation: Observat
 
 def _features(palette: Palette, states: NDArray[np.float64]) -> NDArray[np.float32]:
     count, colours, balls = states.shape[1], len(palette.colours), palette.balls
-    # Balls know nothing of the agent, so where they will be is certain: "soon" is after the coming step,
-    # "later" after the one after that, in which the command given now moves the agent.
+    # Balls ignore the agent, so their future is certain: "soon" is after the coming step, "later" after the next one,
+    # in which the command given now moves the agent.
     soon = states.copy()
     soon[:2] += soon[2:]
     ignored = reflect(soon)[:, :, AGENT:]
-    agent_later = soon[:2, :, AGENT:] + np.where(ignored, soon[2:, :, AGENT:], 0)  # but for a command that counts
+    agent_later = soon[:2, :, AGENT:] + np.where(ignored, soon[2:, :, AGENT:], 0)  # without an effective command
     later = np.clip(soon[:2, :, :AGENT] + soon[2:, :, :AGENT], 0, SIDE)
     by_ball = np.empty((_BALL_FEATURES, count, balls))
     within = by_ball[0]
@@ -143,30 +138,30 @@ def _features(palette: Palette, states: NDArray[np.float64]) -> NDArray[np.float
 
 
 def _reach(offsets: NDArray[np.float64]) -> NDArray[np.float64]:
-    """The larger of both coordinates of ``offsets`` (2, N, balls), without its sign: (N, balls)."""
+    """The larger absolute coordinate of ``offsets`` (2, N, balls): (N, balls)."""
     reach: NDArray[np.float64] = np.maximum(np.abs(offsets[0]), np.abs(offsets[1]))
     return reach
 
 
 def _nearest_first(offsets: NDArray[np.float64]) -> NDArray[np.intp]:
-    """Flat indices (N*balls,) that put the nearest ball of each colour first, ties in map order."""
+    """Flat indices (N*balls,), nearest ball of each colour first, ties in map order."""
     order = np.argsort(_reach(offsets).reshape(-1, BALLS_PER_COLOUR), axis=1, kind="stable")
     return (order + BALLS_PER_COLOUR * np.arange(len(order))[:, None]).ravel()
 
 
 def _touched(offsets: NDArray[np.float64], colours: int) -> NDArray[np.bool_]:
-    """Which colours have a ball at ``offsets`` (2, N, balls) that touches the agent: bool (N, colours)."""
+    """Colours that touch the agent at ``offsets`` (2, N, balls): bool (N, colours)."""
     near = (_reach(offsets) <= TOUCH).reshape(-1, colours, BALLS_PER_COLOUR)
     touched: NDArray[np.bool_] = near[..., 0] | near[..., 1] | near[..., 2]
     return touched
 
 
 def checked_states(palette: Palette, snapshots: object, count: int) -> NDArray[np.float64]:
-    """Snapshots as states, a float64 array of shape (4, count, balls + 1), a copy.
+    """Validate snapshots and copy them to states, float64 (4, count, balls + 1).
 
     Raises:
-        ValueError: if they are not finite floats of shape (count, 4*(balls + 1)), or one of them has a
-            position outside the field or a velocity that no ball or no agent can have.
+        ValueError: if they are not finite floats of shape (count, 4*(balls + 1)), or one has a position outside the
+            field or an impossible velocity.
     """
     env = f"Waterworld with {palette.balls} balls"
     flat = checked_snapshots(env, snapshots, count, snapshot_size(palette), "f")

@@ -1,1 +1,1 @@
-"""Low-level learners, one folder each, behind one protocol."""
+"""Low-level RL agents, one folder each, behind one protocol."""

@@ -1,4 +1,4 @@
-"""Actors rebuilt from weights, for evaluation and for exported policies. Imports torch only to build one."""
+"""Builds actors from weights, for evaluation and exported policies. Imports torch lazily."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from t4nmtd_dist.core.errors import PolicyError
 
 
 class NormalisingActor:
-    """An actor that learned from normalised observations, and its statistics of them."""
+    """An actor trained on normalised observations, together with its observation statistics."""
 
     def __init__(self, actor: Actor, normalisation: Normalisation) -> None:
         if normalisation.size >= actor.inputs:
@@ -30,11 +30,11 @@ class NormalisingActor:
 
 
 def make_actor(config: LearnerConfig, weights: Arrays) -> Actor:
-    """The actor of a learner's, or of an exported policy's, parameters.
+    """Build the actor of a learner or an exported policy.
 
     Raises:
-        PolicyError: if they are missing or do not fit.
-        ConfigError: if there is no such algorithm.
+        PolicyError: if parameters are missing or do not fit.
+        ConfigError: if the algorithm does not exist.
     """
     normalisation, own = stored_normalisation(part_of(acting_parameters(weights), "actor"))
     actor = actor_module(config.algorithm).make_actor(config.hidden, own)

@@ -1,4 +1,4 @@
-"""The modules of an agent's folder, by the name of its algorithm; imported when they are first asked for."""
+"""Imports the modules of an agent's folder on demand, by algorithm name."""
 
 from __future__ import annotations
 
@@ -11,16 +11,16 @@ from t4nmtd_dist.core.registry import AGENTS
 
 
 def shapes_module(algorithm: str) -> AgentShapes:
-    """The agent's names and shapes of parameters; imports no torch.
+    """The agent's ``shapes`` module: parameter names and shapes; imports no torch.
 
     Raises:
-        ConfigError: if no agent has that name, or the algorithm is not decided yet.
+        ConfigError: if no agent has that name, or the algorithm is still ``"auto"``.
     """
     return cast(AgentShapes, _module(algorithm, "shapes"))
 
 
 def actor_module(algorithm: str) -> AgentActor:
-    """What rebuilds the agent's actor from weights.
+    """The agent's ``actor`` module, which builds an actor from weights.
 
     Raises:
         ConfigError: as for ``shapes_module``.
@@ -29,7 +29,7 @@ def actor_module(algorithm: str) -> AgentActor:
 
 
 def builder_module(algorithm: str) -> AgentBuilder:
-    """What builds the agent's learners.
+    """The agent's ``agent`` module, which builds learners.
 
     Raises:
         ConfigError: as for ``shapes_module``.

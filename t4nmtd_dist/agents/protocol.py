@@ -1,8 +1,8 @@
-"""What an agent is: its learner, its actor, and what the other processes know of its parameters.
+"""The agent protocol: learner, actor, and parameter shapes.
 
 An agent is a folder with the same few modules: ``config`` (settings and defaults), ``shapes`` (``AgentShapes``),
-``losses``, ``networks``, ``actor`` (``AgentActor``) and ``agent`` (``AgentBuilder``). ``core.registry.AGENTS`` names
-the folder; ``config`` and ``shapes`` import no torch, since the coordinator reads them.
+``losses``, ``networks``, ``actor`` (``AgentActor``) and ``agent`` (``AgentBuilder``). ``core.registry.AGENTS`` lists
+the folders. The coordinator imports ``config`` and ``shapes``, so these import no torch.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ Actions = NDArray[Any]
 class Actor(Protocol):
     """The trained policy of one sub-task.
 
-    The loop it is meant for::
+    Intended loop::
 
         actor = make_actor(config.learner, weights)
         while not episode_is_over:
@@ -39,20 +39,18 @@ class Actor(Protocol):
     """Length of a product state, d + |Q|."""
 
     def act(self, states: NDArray[np.float32], rng: np.random.Generator | None = None) -> Actions:
-        """Actions of product states [N, inputs]: int64 [N], or float32 [N, A] within the action space's bounds.
+        """Actions for product states [N, inputs]: int64 [N], or float32 [N, A] within the action space's bounds.
 
-        Args:
-            states: product states.
-            rng: draws the actions from the policy's distribution; without it they are the most likely ones.
+        ``rng`` samples them from the policy; without it, they are the most likely ones.
         """
 
 
 class AgentShapes(Protocol):
     """Module ``shapes`` of an agent: names and shapes of its parameters.
 
-    The network that acts is named ``actor.*``, or ``average.*`` where an average of it acts.
+    The acting network is named ``actor.*``, or ``average.*`` if the agent acts with averaged weights.
 
-    The check it is meant for::
+    Intended check::
 
         inputs_of, actions_of = shapes.size_parameters(config.learner.hidden)
         inputs, actions = weights[inputs_of].shape[1], weights[actions_of].shape[0]
@@ -60,7 +58,7 @@ class AgentShapes(Protocol):
     """
 
     def parameter_shapes(self, config: TaskConfig, inputs: int, actions: int) -> Shapes:
-        """Names and shapes of all parameters of a learner, statistics of observations excepted.
+        """Names and shapes of a learner's parameters, without observation statistics.
 
         Args:
             config: the task.
@@ -76,7 +74,7 @@ class AgentActor(Protocol):
     """Module ``actor`` of an agent."""
 
     def make_actor(self, hidden: tuple[int, ...], weights: Weights) -> Actor:
-        """The actor with these parameters, named as in the learner's weights without ``actor.`` or ``average.``.
+        """Build an actor; parameters are named without ``actor.`` or ``average.``.
 
         Raises:
             PolicyError: if parameters are missing or do not fit.
@@ -84,23 +82,23 @@ class AgentActor(Protocol):
 
 
 class PublishedValues(Protocol):
-    """A copy of the critic that another thread may ask while the learner trains, or that a peer holds."""
+    """A copy of the critic, for other threads or held by a peer."""
 
     def values(self, arrays: Mapping[str, NDArray[Any]]) -> tuple[Values, int]:
-        """Values of the product states in a value request, and the version of the copy.
+        """Values of the product states in a value request, and the copy's version.
 
         Raises:
             ProtocolError: if the arrays do not fit.
         """
 
     def weights(self) -> tuple[Weights, int]:
-        """What the values are computed from, and its version."""
+        """The copy's weights and version."""
 
     def load(self, weights: Mapping[str, NDArray[Any]], version: int) -> None:
-        """Answer from the ``weights`` of another copy from now on.
+        """Load another copy's ``weights``.
 
         Raises:
-            PolicyError: if names or shapes differ; the copy is of no use then.
+            PolicyError: if names or shapes differ; discard the copy then.
             ProtocolError: if they are not finite.
         """
 
@@ -108,7 +106,7 @@ class PublishedValues(Protocol):
 class Learner(Protocol):
     """Learns one sub-task from its own attempts.
 
-    The loop it is meant for::
+    Intended loop::
 
         while True:
             if not learner.iterate(peers):
@@ -126,62 +124,62 @@ class Learner(Protocol):
 
     @property
     def replay_buffer(self) -> ReplayBuffer | None:
-        """What it has lived through, for peers to learn from as well; None where nothing is kept."""
+        """The learner's replay buffer, also for peers; None for on-policy agents."""
 
     @property
     def peer_rows(self) -> int:
-        """Experiences of peers that it can learn from now."""
+        """Number of peer transitions available to the learner now."""
 
     def learn_from(self, others: Mapping[str, ReplayBuffer]) -> None:
-        """Learn from these experiences of peers too, by pid, looked into anew at every draw; the own is left out."""
+        """Also learn from these replay buffers, by pid; read at every draw, the own pid skipped."""
 
     @property
     def published(self) -> PublishedValues:
-        """What peers are answered from."""
+        """The critic copy that answers peers."""
 
     def replica(self) -> PublishedValues:
-        """A network of the same shape, to be loaded with a peer's weights."""
+        """A critic copy of the same shape, to load a peer's weights into."""
 
     def iterate(self, peers: PeerCritics) -> bool:
-        """Some steps and the updates they call for; False while there is no state to start from."""
+        """Collect some steps and run the updates due; False while there is no start state."""
 
     def critic_values(self, observations: Observations, q: NDArray[np.int32]) -> Values:
-        """What a peer in the same process is told of product states, float32 [k] or [k, 2]."""
+        """Values of product states, float32 [k] or [k, 2], for peers in this process."""
 
     def weights(self) -> Weights:
         """Copies of all parameters by name."""
 
     def load(self, weights: Mapping[str, NDArray[Any]], version: int) -> None:
-        """Go on from weights learned before."""
+        """Load trained weights."""
 
     def losses(self) -> tuple[float | None, float | None]:
         """Entropy (nats) and critic loss of the last update; None before the first."""
 
     def state_dict(self) -> State:
-        """Everything that decides how learning goes on after an iteration, for a checkpoint.
+        """The complete training state between iterations, for a checkpoint.
 
-        Arrays may be views of what is learned with: write or copy them before the next iteration.
+        Arrays may be views: write or copy them before the next iteration.
         """
 
     def load_state_dict(self, state: State) -> None:
-        """Go on from a ``state`` of a learner of the same sub-task and settings, exactly as that one would have.
+        """Resume exactly from the ``state_dict()`` of a learner with the same sub-task and settings.
 
         Raises:
-            RunError, PolicyError: if it is of a learner of another shape.
+            RunError, PolicyError: if the state has other shapes.
         """
 
 
 class AgentBuilder(Protocol):
     """Module ``agent`` of an agent.
 
-    The use it is meant for::
+    Intended use::
 
         env = make_task_env(config, config.agent.num_envs)
         learner = agent.build(AgentContext(..., rollout=Rollout(env, ...)))
     """
 
     def build(self, context: AgentContext) -> Learner:
-        """A learner.
+        """Build a learner.
 
         Raises:
             EnvError: if it cannot act in the environment's action space.

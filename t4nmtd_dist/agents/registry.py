@@ -1,4 +1,4 @@
-"""Puts a learner together from a compiled task: environments, rollout, and the agent that the settings name."""
+"""Builds a learner from a compiled task: environments, rollout, and agent."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from t4nmtd_dist.method.start_states import InitialStateBuffer
 
 
 def subtask_seed(seed: int, pid: str, epoch: int) -> int:
-    """A seed of its own for every sub-task and lease."""
+    """A separate seed for every sub-task and lease."""
     sequence = np.random.SeedSequence([seed, zlib.crc32(pid.encode()), epoch])
     return int(sequence.generate_state(1)[0] >> 1)
 
@@ -33,12 +33,11 @@ def build_learner(
     seed: int,
     device: Device = "cpu",
 ) -> Learner:
-    """A learner for sub-task ``pid`` in environments of its own, with its networks on ``device``.
+    """Build the learner of sub-task ``pid`` with its own environments and its networks on ``device``.
 
     Raises:
         EnvError: if the environment cannot be opened, or its spaces or propositions do not fit.
-        ConfigError: if there is no such algorithm, or it has not been decided (``environments.preparation.prepared``
-            does).
+        ConfigError: if the algorithm does not exist or is still ``"auto"`` (see ``environments.preparation.prepared``).
     """
     config = task.config
     agent = builder_module(config.learner.algorithm)

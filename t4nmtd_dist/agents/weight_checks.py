@@ -1,4 +1,4 @@
-"""Whether weights that came from elsewhere are those of a task's networks: names, types, shapes, finite numbers."""
+"""Checks received weights against a task's networks: names, dtypes, shapes, finite values."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from t4nmtd_dist.core.errors import PolicyError
 
 @dataclass(frozen=True)
 class NetworkSizes:
-    """What the settings of a task do not say of its networks.
+    """Network sizes that depend on the environment, not on the settings.
 
     Attributes:
         observation: length of an observation.
@@ -27,21 +27,21 @@ class NetworkSizes:
 
 
 def expected_shapes(config: TaskConfig, dfa_states: int, sizes: NetworkSizes) -> Shapes:
-    """Names and shapes of all parameters that a learner of a task has.
+    """Names and shapes of all parameters of a task's learner.
 
     Raises:
-        ConfigError: if there is no such algorithm.
+        ConfigError: if the algorithm does not exist.
     """
     shapes = shapes_module(config.learner.algorithm)
     return shapes.parameter_shapes(config, sizes.observation + dfa_states, sizes.action)
 
 
 def sizes_of(weights: Arrays, config: TaskConfig, dfa_states: int) -> NetworkSizes:
-    """The sizes that weights claim to have.
+    """Infer the network sizes from weights.
 
     Raises:
-        PolicyError: if they have none.
-        ConfigError: if there is no such algorithm.
+        PolicyError: if they cannot be inferred.
+        ConfigError: if the algorithm does not exist.
     """
     first, last = shapes_module(config.learner.algorithm).size_parameters(config.learner.hidden)
     shape, end = (weights[name].shape if name in weights else () for name in (first, last))
@@ -53,19 +53,13 @@ def sizes_of(weights: Arrays, config: TaskConfig, dfa_states: int) -> NetworkSiz
 def check_weights(
     weights: Arrays, config: TaskConfig, dfa_states: int, sizes: NetworkSizes | None = None
 ) -> NetworkSizes:
-    """Check weights of a learner against its task.
-
-    Args:
-        weights: parameters by name.
-        config: the task.
-        dfa_states: |Q|.
-        sizes: of the weights of this task's other learners, if known: all are alike.
+    """Check a learner's weights against its task and, if given, the ``sizes`` of the task's other learners.
 
     Returns:
         The sizes.
 
     Raises:
-        PolicyError: if they do not fit, or are not finite; the text says what.
+        PolicyError: if the weights do not fit or are not finite; the message says which.
     """
     statistics, weights = stored_normalisation(weights)
     found = sizes_of(weights, config, dfa_states)
@@ -81,10 +75,10 @@ def check_weights(
 
 
 def check_alike(weights: Arrays, own: Arrays) -> None:
-    """Check weights against those of a learner that is to go on from them.
+    """Check weights against those of the learner that will load them.
 
     Raises:
-        PolicyError: if they do not fit, or are not finite; the text says what.
+        PolicyError: if they do not fit or are not finite; the message says which.
     """
     theirs, weights = stored_normalisation(weights)
     ours, own = stored_normalisation(own)
@@ -94,10 +88,10 @@ def check_alike(weights: Arrays, own: Arrays) -> None:
 
 
 def check_shapes(weights: Arrays, expected: Shapes) -> None:
-    """Check that weights are float32, finite, and have the expected names and shapes.
+    """Check that weights are float32 and finite, and have the expected names and shapes.
 
     Raises:
-        PolicyError: if not; the text says what.
+        PolicyError: if not; the message says why.
     """
     missing = sorted(expected.keys() - weights.keys())
     unknown = sorted(weights.keys() - expected.keys())

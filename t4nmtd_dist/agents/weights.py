@@ -1,4 +1,4 @@
-"""Weights as named numpy arrays: which of them act, which belong together. Imports no torch."""
+"""Weights as named numpy arrays, and how their names group them. Imports no torch."""
 
 from __future__ import annotations
 
@@ -17,20 +17,20 @@ Shapes = dict[str, tuple[int, ...]]
 
 
 def part_of(arrays: Arrays, part: str) -> Weights:
-    """The arrays named ``part.*``, without that prefix."""
+    """Arrays named ``part.*``, without that prefix."""
     prefix = part + "."
     return {name.removeprefix(prefix): array for name, array in arrays.items() if name.startswith(prefix)}
 
 
 def acting_part(names: Iterable[str]) -> str:
-    """Which part of a learner's parameters acts: its ``average`` if one is kept, else its ``actor``."""
+    """The acting part of a learner's parameters: ``average`` if present, else ``actor``."""
     return "average" if any(name.startswith("average.") for name in names) else "actor"
 
 
 def acting_parameters(weights: Arrays) -> Weights:
-    """The parameters, named ``actor.*``, of the actor that is evaluated and exported: the average, if one is kept.
+    """Parameters of the evaluated and exported actor (the average, if kept), named ``actor.*``.
 
-    Statistics of observations are among them, where the learner normalises those.
+    Includes the observation statistics, if any.
     """
     kept = part_of(weights, acting_part(weights))
     kept |= {name: array for name, array in weights.items() if name.startswith("normalisation.")}
@@ -38,7 +38,7 @@ def acting_parameters(weights: Arrays) -> Weights:
 
 
 def check_finite(weights: Arrays) -> None:
-    """Check weights that came from elsewhere.
+    """Check received weights.
 
     Raises:
         ProtocolError: if they are not all finite.
@@ -49,7 +49,7 @@ def check_finite(weights: Arrays) -> None:
 
 
 def mlp_shapes(part: str, inputs: int, hidden: Sequence[int], outputs: int) -> Shapes:
-    """Names and shapes of the parameters of ``common.networks.mlp``, each name beginning with ``part.``."""
+    """Names and shapes of the parameters of ``common.networks.mlp``, each name prefixed with ``part.``."""
     shapes: Shapes = {}
     for number, (width, out) in enumerate(pairwise([inputs, *hidden, outputs])):
         shapes[f"{part}.{2 * number}.weight"] = (out, width)

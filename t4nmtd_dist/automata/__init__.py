@@ -1,1 +1,1 @@
-"""LTLf formulas, their automata, and the boolean algebra of guards."""
+"""LTLf formulas, their automata, and the Boolean algebra of guards."""

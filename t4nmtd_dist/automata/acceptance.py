@@ -1,8 +1,8 @@
-"""When a trace is accepted: at the first accepting state, or where the episode ends.
+"""When a trace is accepted: at the first accepting state, or at the end of the episode.
 
-A task is *co-safe* if acceptance cannot be lost again: the episode may then end at the first accepting state. Any other
-task has LTLf's own meaning, under which the trace ends with the episode. The proposition ``last``, true on the last
-step of an episode, makes such a task co-safe as well, so that nothing else needs to know of the difference.
+A task is *co-safe* if acceptance cannot be lost, so the episode may end at the first accepting state. Any other task
+has standard LTLf semantics: the trace ends with the episode. The proposition ``last``, true on the last step, makes
+such a task co-safe too, so no other code distinguishes the two.
 """
 
 from __future__ import annotations
@@ -27,12 +27,7 @@ ACCEPTANCE_TEXT: dict[str, str] = {
 
 
 def acceptance_of(dfa: DFA, exclusive: ExclusiveGroups = ()) -> Acceptance:
-    """``first`` if the task is co-safe, which it is if no allowed symbol leads out of the accepting states.
-
-    Args:
-        dfa: the automaton of the formula.
-        exclusive: groups of propositions that can never hold together; their symbols do not count.
-    """
+    """``first`` if the task is co-safe: no symbol allowed by ``exclusive`` leads out of the accepting states."""
     reduced = reduce_automaton(dfa, exclusive)
     lost = any(q in reduced.accepting and target not in reduced.accepting for q, target in reduced.transitions)
     return "end" if lost else "first"
@@ -41,15 +36,10 @@ def acceptance_of(dfa: DFA, exclusive: ExclusiveGroups = ()) -> Acceptance:
 def task_automaton(
     dfa: DFA, setting: AcceptanceSetting = "auto", exclusive: ExclusiveGroups = ()
 ) -> tuple[DFA, Acceptance]:
-    """The automaton that a task is trained with, and how it accepts.
-
-    Args:
-        dfa: the automaton of the formula.
-        setting: ``auto`` decides by ``acceptance_of``.
-        exclusive: as for ``acceptance_of``.
+    """The automaton to train with, and how it accepts; ``auto`` applies ``acceptance_of``.
 
     Raises:
-        FormulaError: if there is no room for ``last``.
+        FormulaError: if adding ``last`` exceeds the maximum number of propositions.
         TranslationError: if the automaton becomes too large.
     """
     acceptance = acceptance_of(dfa, exclusive) if setting == "auto" else setting
@@ -57,14 +47,14 @@ def task_automaton(
 
 
 def with_last(dfa: DFA) -> DFA:
-    """The automaton that accepts on the step on which ``last`` holds, where ``dfa`` accepts the trace up to it.
+    """An automaton that accepts on the step with ``last`` if ``dfa`` accepts the trace up to it.
 
-    Where ``dfa`` does not, that step leads to an error state; so does, as before, a violation that cannot be mended.
-    The states of ``dfa`` stay apart, also where ``last`` makes them equivalent: which of them the formula holds in is
-    what sub-tasks aim at. Only an initial state that no transition enters goes, if another state has the same future.
+    Otherwise that step leads to an error state, as irreparable violations already do. States stay separate even if
+    ``last`` makes them equivalent, because sub-tasks aim at states in which the formula holds. Only an initial state
+    without incoming transitions is removed, if another has the same future.
 
     Raises:
-        FormulaError: if there is no room for ``last``.
+        FormulaError: if adding ``last`` exceeds the maximum number of propositions.
         TranslationError: if the automaton becomes too large.
     """
     if len(dfa.propositions) >= MAX_PROPOSITIONS:
@@ -88,7 +78,7 @@ def with_last(dfa: DFA) -> DFA:
 
 
 def _without_fresh_initial(dfa: DFA) -> int:
-    """A state to start in that has the initial state's future: it does not matter what accepts the empty trace."""
+    """A start state with the initial state's future."""
     if (dfa.delta == dfa.initial).any():
         return dfa.initial
     alike = np.flatnonzero((dfa.delta == dfa.delta[dfa.initial]).all(axis=1))
@@ -96,7 +86,7 @@ def _without_fresh_initial(dfa: DFA) -> int:
 
 
 def unfulfilled_states(dfa: DFA) -> frozenset[int]:
-    """Of a ``with_last`` automaton, the states in which waiting until the end is not enough; none of any other."""
+    """States of a ``with_last`` automaton in which waiting until the end is not enough; empty for others."""
     if LAST not in dfa.propositions:
         return frozenset()
     bit = dfa.symbol([LAST])

@@ -1,7 +1,7 @@
-"""Reduced ordered binary decision diagrams: boolean functions in a form in which equal means identical.
+"""Reduced ordered binary decision diagrams: equal Boolean functions are identical (Bryant, 1986).
 
-A diagram is a number: ``FALSE``, ``TRUE``, or a node that tests the variable of some level and goes on at
-``low`` or ``high``. Levels grow from the root down (Bryant, 1986).
+A diagram is a number: ``FALSE``, ``TRUE``, or a node that tests its level's variable and branches to ``low`` or
+``high``. Levels increase from the root down.
 """
 
 from __future__ import annotations
@@ -14,16 +14,16 @@ _CHECK_INTERVAL = 1024
 
 
 class DiagramStore:
-    """The nodes of many diagrams that share their parts.
+    """Nodes of many diagrams that share sub-diagrams.
 
     Attributes:
-        level: of each node, the level that it tests; terminals lie below every level.
-        low: of each node, the diagram for a false variable.
-        high: of each node, the diagram for a true variable.
+        level: the level each node tests; terminals lie below all levels.
+        low: each node's diagram for a false variable.
+        high: each node's diagram for a true variable.
     """
 
     def __init__(self, deadline: Deadline) -> None:
-        """Start with the terminals; operations raise ``TranslationError`` once the deadline has passed."""
+        """Create the terminals; operations raise ``TranslationError`` after the deadline."""
         self.level = [_TERMINAL_LEVEL, _TERMINAL_LEVEL]
         self.low = [FALSE, TRUE]
         self.high = [FALSE, TRUE]
@@ -32,7 +32,7 @@ class DiagramStore:
         self._deadline = deadline
 
     def variable(self, level: int) -> int:
-        """The function that is the variable of a level."""
+        """The variable of a level, as a function."""
         return self._node(level, FALSE, TRUE)
 
     def negation(self, f: int) -> int:
@@ -40,21 +40,21 @@ class DiagramStore:
         return self.choice(f, FALSE, TRUE)
 
     def conjunction(self, *functions: int) -> int:
-        """All of the functions."""
+        """Conjunction of the functions."""
         result = TRUE
         for f in functions:
             result = self.choice(result, f, FALSE)
         return result
 
     def disjunction(self, *functions: int) -> int:
-        """Any of the functions."""
+        """Disjunction of the functions."""
         result = FALSE
         for f in functions:
             result = self.choice(result, TRUE, f)
         return result
 
     def choice(self, condition: int, then: int, otherwise: int) -> int:
-        """``then`` where ``condition`` holds, else ``otherwise``: from this, all else is made."""
+        """If-then-else, from which all other operations are built."""
         if condition == TRUE or then == otherwise:
             return then
         if condition == FALSE:

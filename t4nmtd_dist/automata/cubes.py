@@ -1,8 +1,8 @@
-"""Boolean functions over few propositions: truth tables in, cubes and prime implicants out.
+"""Boolean functions of few propositions: truth tables to cubes and prime implicants.
 
-A *literal* is ``p`` or ``~p``; a *cube* is a conjunction of literals (the empty cube is true); a *guard* is a
-disjunction of cubes (no cube at all is false). A truth table is a bool array of shape (2**n,) indexed by
-symbols: bit i of the index says whether ``propositions[i]`` holds.
+A *literal* is ``p`` or ``~p``; a *cube* is a conjunction of literals (empty: true); a *guard* is a disjunction of cubes
+(empty: false). A truth table is a bool array of shape (2**n,) indexed by symbols: bit i of the index is set if
+``propositions[i]`` holds.
 """
 
 from __future__ import annotations
@@ -30,14 +30,14 @@ def irredundant_cover(table: TruthTable, propositions: tuple[str, ...]) -> Guard
 
 
 def prime_implicants(on: TruthTable, dont_care: TruthTable, propositions: tuple[str, ...]) -> Guard:
-    """The prime implicants of ``on | dont_care`` that hold in some symbol of ``on``.
+    """Prime implicants of ``on | dont_care`` that hold in some symbol of ``on``.
 
-    All 3**n cubes over the n propositions that matter are weighed at once in one array.
+    Evaluates all 3**n cubes over the n relevant propositions in one array.
 
     Args:
         on: symbols in which the function must hold, shape (2**len(propositions),).
-        dont_care: symbols that may be counted either way, same shape; those also in ``on`` stay in ``on``.
-        propositions: their names, the lowest bit of a symbol first.
+        dont_care: symbols with an arbitrary value, same shape; ``on`` takes precedence.
+        propositions: names, lowest bit of a symbol first.
 
     Returns:
         The cubes, shortest first; none if ``on`` is empty.
@@ -66,17 +66,17 @@ def prime_implicants(on: TruthTable, dont_care: TruthTable, propositions: tuple[
 
 
 def cube_text(cube: Cube) -> str:
-    """A cube for human readers: ``p & ~q``, or ``true`` for the empty one."""
+    """A cube for display: ``p & ~q``, or ``true`` if empty."""
     return " & ".join(cube) if cube else "true"
 
 
 def guard_text(guard: Guard) -> str:
-    """A guard for human readers: ``p & ~q | r``, or ``false`` if no cube is left."""
+    """A guard for display: ``p & ~q | r``, or ``false`` if empty."""
     return " | ".join(map(cube_text, guard)) if guard else "false"
 
 
 def _single_cube(table: TruthTable, propositions: tuple[str, ...]) -> Cube | None:
-    """The cube that a truth table is, if it is one: most guards of large automata are."""
+    """The cube equal to a truth table, if any."""
     held = np.flatnonzero(table)
     if not held.size:
         return None
@@ -88,10 +88,7 @@ def _single_cube(table: TruthTable, propositions: tuple[str, ...]) -> Cube | Non
 
 
 def _project(table: TruthTable, kept: TruthTable, n: int) -> tuple[TruthTable, TruthTable, list[int]]:
-    """Both tables with one axis per proposition that ``table`` depends on, and those propositions.
-
-    ``kept`` holds in a projected symbol if it holds in some symbol that projects there.
-    """
+    """Both tables, with one axis per proposition that ``table`` depends on, and these propositions."""
     # Bit i of a symbol is axis n - 1 - i of the reshaped table; the transpose puts proposition i on axis i.
     table, kept = (t.reshape((2,) * n).transpose() for t in (table, kept))
     support = [i for i in range(n) if not np.array_equal(table.take(0, axis=i), table.take(1, axis=i))]
@@ -100,7 +97,7 @@ def _project(table: TruthTable, kept: TruthTable, n: int) -> tuple[TruthTable, T
 
 
 def _prime_table(implied: TruthTable, required: TruthTable, n: int) -> TruthTable:
-    """Which of the 3**n cubes are prime implicants: axis i is 0 for ``~p``, 1 for ``p``, 2 for neither."""
+    """Which of the 3**n cubes are prime implicants; indices are 0 ``~p``, 1 ``p``, 2 neither."""
     for i in range(n):
         no, yes = np.split(implied, 2, axis=i)
         implied = np.concatenate([no, yes, no & yes], axis=i)
@@ -118,7 +115,7 @@ def _literal(name: str, value: bool) -> str:
 
 
 def _isop(lower: TruthTable, upper: TruthTable, variable: int) -> tuple[list[tuple[tuple[int, bool], ...]], TruthTable]:
-    """Cubes whose union lies between ``lower`` and ``upper``, and that union as a truth table."""
+    """Cubes whose union lies between ``lower`` and ``upper``, and that union."""
     if not lower.any():
         return [], np.zeros_like(lower)
     if upper.all():

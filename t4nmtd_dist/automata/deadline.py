@@ -1,4 +1,4 @@
-"""One time limit for all long computations from a formula to its sub-tasks."""
+"""One time limit for all long computations from formula to sub-tasks."""
 
 from __future__ import annotations
 
@@ -11,11 +11,11 @@ from t4nmtd_dist.core.errors import ConfigError, TranslationError
 
 @dataclass(frozen=True)
 class Deadline:
-    """A point in time by which a task must be translated and decomposed.
+    """The time by which a task must be translated and decomposed.
 
     Attributes:
-        limit: the whole time allowed, in seconds.
-        end: the point in time, on the clock of ``time.monotonic``.
+        limit: total time allowed, in seconds.
+        end: end time, in ``time.monotonic`` seconds.
     """
 
     limit: float
@@ -23,7 +23,7 @@ class Deadline:
 
     @classmethod
     def after(cls, limit: float) -> Deadline:
-        """The deadline that lies ``limit`` seconds ahead.
+        """The deadline ``limit`` seconds from now.
 
         Raises:
             ConfigError: if the limit is not a positive number.
@@ -33,24 +33,21 @@ class Deadline:
         return cls(limit, time.monotonic() + limit)
 
     def left(self) -> float:
-        """Seconds that are left, never negative."""
+        """Seconds left, never negative."""
         return max(0.0, self.end - time.monotonic())
 
     def check(self, doing: str = "") -> None:
-        """Do nothing before the deadline.
-
-        Args:
-            doing: what is being done, if the formula has already been translated.
+        """Raise if the deadline has passed; ``doing`` names the step after translation.
 
         Raises:
-            TranslationError: after it, during the translation.
-            ConfigError: after it, later.
+            TranslationError: during translation.
+            ConfigError: in later steps.
         """
         if time.monotonic() > self.end:
             raise self.outgrown(doing) if doing else self.exceeded()
 
     def exceeded(self) -> TranslationError:
-        """The error that says that the time is up before there is an automaton."""
+        """The error for a timeout during translation."""
         return TranslationError(
             f"the formula was not translated within {self.limit:g} s: give a higher time limit "
             "(decomposition.time_limit) or a simpler "
@@ -58,7 +55,7 @@ class Deadline:
         )
 
     def outgrown(self, doing: str) -> ConfigError:
-        """The error that says that the time is up although there is an automaton: it is too large."""
+        """The error for a timeout after translation, when the automaton is too large."""
         return ConfigError(
             f"the task was not compiled within {self.limit:g} s: its automaton is too large for {doing}. Use fewer "
             "goals (each unordered one doubles the states), declare exclusive groups, set decomposition.prune=false, "

@@ -1,4 +1,4 @@
-"""The deterministic finite automaton of a task: states, a transition table, and its JSON form."""
+"""A task's deterministic finite automaton: states, transition table, and JSON form."""
 
 from __future__ import annotations
 
@@ -19,16 +19,15 @@ MAX_PROPOSITIONS = 16
 
 @dataclass(frozen=True, eq=False)
 class DFA:
-    """A complete DFA <Q, 2^AP, delta, q0, F> over symbols that are sets of propositions.
+    """A complete DFA <Q, 2^AP, delta, q0, F> whose symbols are sets of propositions.
 
-    Symbols are numbered: bit i of a symbol is set iff ``propositions[i]`` holds. States are numbered by
-    breadth-first search from ``initial`` (always 0), symbols taken in ascending order, so that equal
-    languages give equal automata.
+    Bit i of a symbol is set iff ``propositions[i]`` holds. States are numbered by breadth-first search from ``initial``
+    (always 0) with symbols ascending, so equal languages have equal automata.
 
     Attributes:
         propositions: AP, sorted, at most 16 names.
         delta: int32 array of shape (states, 2**len(propositions)); ``delta[q, symbol]`` is the next state.
-        accepting: F. The initial state is never in it (traces are not empty).
+        accepting: F, never with the initial state, since traces are not empty.
     """
 
     propositions: tuple[str, ...]
@@ -63,12 +62,12 @@ class DFA:
 
     @cached_property
     def _table(self) -> list[list[int]]:
-        """The transition table as nested lists: Python indexes these faster than numpy scalars."""
+        """``delta`` as nested lists, which Python indexes faster than numpy scalars."""
         rows: list[list[int]] = self.delta.tolist()
         return rows
 
     def symbol(self, labels: Iterable[str]) -> int:
-        """The number of the symbol in which exactly ``labels`` hold; names outside AP are ignored."""
+        """The symbol in which exactly ``labels`` hold; names outside AP are ignored."""
         bit = self._bit
         code = 0
         for name in labels:
@@ -76,12 +75,12 @@ class DFA:
         return code
 
     def step(self, q: int, labels: Iterable[str]) -> int:
-        """delta(q, labels): the state after reading one set of true propositions."""
+        """delta(q, labels): the state after reading one set of propositions."""
         return self._table[q][self.symbol(labels)]
 
     @cached_property
     def error(self) -> frozenset[int]:
-        """E: the states from which no accepting state can be reached."""
+        """E: states from which no accepting state is reachable."""
         alive = set(self.accepting)
         grew = True
         while grew:
@@ -97,7 +96,7 @@ class DFA:
         return self.find_edges()
 
     def find_edges(self, deadline: Deadline | None = None) -> dict[tuple[int, int], Guard]:
-        """``edges``, found within a deadline; later calls only look them up.
+        """``edges``, computed within a deadline and cached.
 
         Raises:
             ConfigError: if the deadline passes.
@@ -114,7 +113,7 @@ class DFA:
         return self._edges
 
     def symbols(self, source: int, target: int) -> NDArray[np.bool_]:
-        """Truth table of a guard: bool array of shape (2**|AP|,), true where delta(source, symbol) = target."""
+        """Truth table of a guard: bool (2**|AP|,), true where delta(source, symbol) = target."""
         table: NDArray[np.bool_] = np.equal(self.delta[source], target)
         return table
 
@@ -126,7 +125,7 @@ class DFA:
         return q in self.accepting
 
     def to_json(self) -> dict[str, Any]:
-        """A JSON-ready form that ``from_json`` reads back; edges carry their guards for human readers."""
+        """JSON-ready form for ``from_json``, with readable guards."""
         return {
             "propositions": list(self.propositions),
             "states": self.states,

@@ -1,4 +1,4 @@
-"""An automaton as an SVG picture, its transitions coloured by the groups that they are in, such as sub-tasks."""
+"""Draws an automaton as SVG, with transitions coloured by group, such as sub-tasks."""
 
 from __future__ import annotations
 
@@ -32,16 +32,16 @@ Groups = Mapping[str, Collection[Transition]]
 def draw_svg(dfa: DFA, groups: Groups, colours: Mapping[str, str] | None = None) -> str:
     """Draw a task automaton.
 
-    A transition in several groups is striped in their colours; one in none is grey and dashed. Transitions
-    into error states are short stubs that end in a cross. Hovering shows the full guard.
+    A transition in several groups is striped in their colours; one in none is grey and dashed. Transitions into error
+    states are stubs that end in a cross. Hovering shows the full guard.
 
     Args:
         dfa: the task automaton.
-        groups: transitions by name of their group, such as the sub-tasks of a decomposition.
-        colours: an SVG colour for every group; None for those of ``group_colours``.
+        groups: transitions by group name, such as sub-tasks.
+        colours: an SVG colour per group; None for ``group_colours``.
 
     Returns:
-        An SVG document with its own background, for light and dark pages alike.
+        An SVG document with a background, readable on light and dark pages.
     """
     drawn = [tau for tau in dfa.edges if tau[0] != tau[1] and not dfa.error & set(tau)]
     body = [q for q in range(dfa.states) if q not in dfa.error]
@@ -59,7 +59,7 @@ def draw_svg(dfa: DFA, groups: Groups, colours: Mapping[str, str] | None = None)
 
 
 def group_colours(names: Iterable[str]) -> dict[str, str]:
-    """A colour for every name: that colour itself if the name is one, else the next one of ``PALETTE``."""
+    """A colour per name: the named colour if the name is one, else the next from ``PALETTE``."""
     names = list(names)
     free = [colour for colour in PALETTE if colour not in {NAMED.get(name) for name in names}]
     others = [name for name in names if name not in NAMED]
@@ -73,7 +73,7 @@ def _transitions(dfa: DFA, groups: Groups, curves: dict[Transition, Curve], colo
 
 
 def _transition(dfa: DFA, tau: Transition, curve: Curve, colours: list[str]) -> str:
-    """One curve: a casing, then one stroke per colour, dashed so that all of them show, then the head."""
+    """One curve: casing, one dashed stroke per colour, and arrow head."""
     path = "M{:.1f} {:.1f} Q{:.1f} {:.1f} {:.1f} {:.1f}".format(*curve.start, *curve.control, *curve.end)
     if not colours:
         strokes = f'<path d="{path}" stroke="{FAINT}" stroke-width="1.2" stroke-dasharray="4 4"/>'
@@ -96,7 +96,7 @@ def _arrow_head(tip: Points, along: Points, colour: str, size: float = 1.0) -> s
 
 
 def _loop_and_stub(dfa: DFA, q: int, at: Points, curves: Iterable[Curve]) -> str:
-    """What leaves a state for itself or for an error state, where there is room for it."""
+    """A state's self-loop and error transitions, where there is room."""
     up, *rest = free_directions(at, curves)
     errors = [tau for tau in dfa.edges if tau[0] == q and tau[1] in dfa.error]
     loop = _self_loop(dfa, q, at, up) if (q, q) in dfa.edges else ""
@@ -117,7 +117,7 @@ def _self_loop(dfa: DFA, q: int, at: Points, out: Points) -> str:
 
 
 def _stub(dfa: DFA, tau: Transition, at: Points, out: Points) -> str:
-    """A short arrow that ends in a cross: a way into an error state."""
+    """A transition into an error state: a short arrow ending in a cross."""
     (x, y), (to_x, to_y) = at + RADIUS * out, at + (RADIUS + 15) * out
     lines = f"M{x:.1f} {y:.1f} L{to_x:.1f} {to_y:.1f} m-4 -4 l8 8 m0 -8 l-8 8"
     path = f'<path d="{lines}" stroke="{FAINT}" stroke-width="1.4" fill="none"/>'
@@ -155,7 +155,7 @@ def _loop_box(at: Points, curves: dict[Transition, Curve]) -> Box:
 
 
 def _short(guard: Guard) -> str:
-    """A guard in few characters: what must hold first, and the rest cut off."""
+    """A guard shortened for a label, positive literals first."""
     text = " | ".join(map(_short_cube, guard))
     return text if len(text) <= LABEL_LENGTH else text[: LABEL_LENGTH - 1].rstrip(" |¬") + "…"
 
@@ -186,7 +186,7 @@ def _text(
 
 
 def _extent(curves: dict[Transition, Curve], position: dict[int, Points]) -> tuple[Points, Points]:
-    """The upper left and lower right corner of what is drawn."""
+    """Upper left and lower right corner of the drawing."""
     points = np.concatenate(
         [np.array(list(position.values())), *(curve.at(np.linspace(0, 1, 9)) for curve in curves.values())]
     )
@@ -194,7 +194,7 @@ def _extent(curves: dict[Transition, Curve], position: dict[int, Points]) -> tup
 
 
 def _legend(dfa: DFA, groups: Groups, colours: Mapping[str, str]) -> list[tuple[str, str]]:
-    """(swatch, text) of every entry; swatches are drawn in a box 26 pixels wide around (13, 0)."""
+    """(swatch, text) of every entry; swatches are 26 pixels wide, around (13, 0)."""
     swatch = '<path d="M0 0 h26" stroke="{}" stroke-width="{}"/>'
     entries = [
         (swatch.format(CASING, 4.6) + swatch.format(colours[name], 3.2), f"{name} ({len(taus)})")

@@ -1,9 +1,9 @@
-"""LTLf formulas: syntax tree, parser with positions in its errors, and semantics on finite traces.
+"""LTLf formulas: syntax tree, parser with error positions, and finite-trace semantics.
 
-The syntax is LTLf2DFA's: ``!`` not, ``&``, ``|``, ``->``, ``<->``, ``X`` strong next, ``WX`` weak next, ``U``
-until, ``R`` release, ``F``, ``G``, ``true``, ``false``, ``last``. From loosest to tightest: ``<->``, ``->``,
-``|``, ``&``, ``U``, ``R``, unary operators. As there, ``a U b U c`` and ``a R b R c`` group to the right,
-``a -> b -> c`` groups to the left, and ``a <-> b <-> c`` says that all three agree.
+The syntax is LTLf2DFA's: ``!`` not, ``&``, ``|``, ``->``, ``<->``, ``X`` strong next, ``WX`` weak next, ``U`` until,
+``R`` release, ``F``, ``G``, ``true``, ``false``, ``last``. From loosest to tightest: ``<->``, ``->``, ``|``, ``&``,
+``U``, ``R``, unary operators. As there, ``U`` and ``R`` associate to the right, ``->`` to the left, and ``a <-> b <->
+c`` means that all three agree.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ Bools = NDArray[np.bool_]
 
 
 class Operator(StrEnum):
-    """What a node of the syntax tree is; the value is the name of LTLf2DFA's class for it."""
+    """Operator of a syntax tree node; the value is the name of LTLf2DFA's class."""
 
     TRUE = "LTLfTrue"
     FALSE = "LTLfFalse"
@@ -49,10 +49,9 @@ class Formula:
     """A node of the syntax tree.
 
     Attributes:
-        operator: what the node is.
-        operands: none for constants and propositions, two or more for ``&``, ``|`` and ``<->``, two for
-            ``->``, ``U`` and ``R``, else one.
-        name: the proposition's name, empty for every other operator.
+        operands: none for constants and propositions, two or more for ``&``, ``|`` and ``<->``, two for ``->``, ``U``
+            and ``R``, else one.
+        name: the proposition's name, else empty.
     """
 
     operator: Operator
@@ -60,23 +59,23 @@ class Formula:
     name: str = ""
 
     def propositions(self) -> frozenset[str]:
-        """The names that occur in the formula."""
+        """Names that occur in the formula."""
         if self.operator is Operator.PROPOSITION:
             return frozenset({self.name})
         return frozenset().union(*(operand.propositions() for operand in self.operands))
 
 
 def names_in_order(text: str) -> tuple[str, ...]:
-    """The words of a formula's text in the order in which they first occur; operators and constants are among them."""
+    """The words of a formula's text in order of first occurrence, operators and constants included."""
     return tuple(dict.fromkeys(re.findall(r"[A-Za-z_]\w*", text)))
 
 
 def parse(text: str, propositions: Sequence[str] | None = None) -> Formula:
-    """Read a formula.
+    """Parse a formula.
 
     Args:
         text: the formula; line breaks are white space.
-        propositions: the names that may occur; any if left out.
+        propositions: allowed names; None allows any.
 
     Raises:
         FormulaError: on a syntax error or an unknown proposition, with line, column and a caret.
@@ -89,7 +88,7 @@ def parse(text: str, propositions: Sequence[str] | None = None) -> Formula:
 
 
 def too_deep() -> FormulaError:
-    """The error for a formula whose nesting exceeds the interpreter's stack."""
+    """The error for a formula nested too deeply for the interpreter's stack."""
     return FormulaError("the formula is nested too deeply; expected at most about a hundred nested operators")
 
 
@@ -106,14 +105,14 @@ def _parse(text: str) -> Formula:
 
 @functools.cache
 def _parser() -> Any:
-    """LTLf2DFA's parser; its import brings sympy and takes half a second, hence only when needed."""
+    """LTLf2DFA's parser, imported lazily because it loads sympy (half a second)."""
     from ltlf2dfa.parser.ltlf import LTLfParser
 
     return LTLfParser()
 
 
 def _converted(node: Any) -> Formula:
-    """Our tree for LTLf2DFA's, its chains of ``U``, ``R`` and ``->`` grouped in pairs."""
+    """Convert LTLf2DFA's tree, grouping chains of ``U``, ``R`` and ``->`` in pairs."""
     operator = Operator(type(node).__name__)
     if operator is Operator.PROPOSITION:
         return Formula(operator, name=str(node.s))
@@ -136,7 +135,7 @@ def _unknown(text: str, name: str, propositions: Sequence[str]) -> str:
 
 
 def _syntax_message(text: str, error: Any) -> str:
-    """Position, what was expected, what came, a hint for the usual slips, and a caret."""
+    """The full message, with a hint and a caret."""
     token = getattr(error, "token", None)
     at_end = token is not None and token.type == "$END"
     position = len(text.rstrip()) if at_end else int(error.pos_in_stream)
@@ -151,7 +150,7 @@ def _syntax_message(text: str, error: Any) -> str:
 
 
 def _hint(text: str, position: int, unclosed: bool) -> str:
-    """What to do about a slip that is recognised, else nothing."""
+    """A hint for a recognised mistake, else nothing."""
     if unclosed:
         return "; is a bracket not closed?"
     if re.match(r"[A-Z]", text[position:]):
@@ -162,7 +161,7 @@ def _hint(text: str, position: int, unclosed: bool) -> str:
 
 
 def _place(text: str, position: int) -> str:
-    """Line and column of a position, that line of the text, and a caret below the position."""
+    """Line and column of a position, its line, and a caret."""
     start = text.rfind("\n", 0, position) + 1
     line = text[start:].split("\n", 1)[0]
     blank = re.sub(r"[^\t]", " ", text[start:position])
@@ -170,7 +169,7 @@ def _place(text: str, position: int) -> str:
 
 
 def satisfies(trace: Sequence[Iterable[str]], formula: Formula) -> bool:
-    """Whether a finite non-empty trace of sets of true propositions is a model of a formula.
+    """Whether a non-empty finite trace of sets of true propositions satisfies a formula.
 
     Raises:
         ValueError: if the trace is empty.
@@ -183,16 +182,16 @@ def satisfies(trace: Sequence[Iterable[str]], formula: Formula) -> bool:
 
 
 def truth(formula: Formula, symbols: NDArray[np.integer[Any]], propositions: Sequence[str]) -> Bools:
-    """Truth of a formula at every position of many traces of one length at once.
+    """Truth of a formula at every position of many equally long traces.
 
     Args:
-        formula: whose propositions are all among ``propositions``.
-        symbols: shape (..., T), T >= 1; bit i of a symbol says whether ``propositions[i]`` holds.
+        formula: its propositions must be among ``propositions``.
+        symbols: shape (..., T), T >= 1; bit i of a symbol is set if ``propositions[i]`` holds.
         propositions: names of the bits.
 
     Returns:
-        Bools of shape (..., T): whether the suffix that starts there satisfies the formula (De Giacomo and
-        Vardi, 2013). A trace satisfies the formula if its first position does.
+        Bools of shape (..., T): whether the suffix from there satisfies the formula (De Giacomo and Vardi, 2013). A
+        trace satisfies the formula if its first position does.
     """
     operator = formula.operator
     if operator is Operator.PROPOSITION:
@@ -245,14 +244,14 @@ def _temporal(operator: Operator, operands: list[Bools], shape: tuple[int, ...])
 
 
 def _shifted(values: Bools, *, at_end: bool) -> Bools:
-    """The values one position later, ``at_end`` where there is none."""
+    """Values of the next position; ``at_end`` at the last one."""
     result = np.full_like(values, at_end)
     result[..., :-1] = values[..., 1:]
     return result
 
 
 def _until(left: Bools, right: Bools) -> Bools:
-    """Strong until, from the last position backwards."""
+    """Strong until, computed backwards."""
     result = right.copy()
     for t in range(right.shape[-1] - 2, -1, -1):
         result[..., t] |= left[..., t] & result[..., t + 1]

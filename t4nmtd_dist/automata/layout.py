@@ -1,8 +1,7 @@
-"""Where to draw the states and transitions of an automaton: columns from left to right, bowed edges.
+"""Graph layout of an automaton: states in columns, edges as bowed curves.
 
-States stand in columns by the longest way that leads to them, a strongly connected component in one column;
-within a column the order is the one that keeps neighbours level. Every edge then takes the least bow that
-keeps clear of states and of edges already drawn. Lengths are pixels, y points down.
+A state's column is the longest path to its strongly connected component. Within a column, the order keeps neighbours
+level. Every edge takes the smallest bow that avoids states and drawn edges. Lengths are pixels, y points down.
 """
 
 from __future__ import annotations
@@ -28,7 +27,7 @@ Points = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class Curve:
-    """A quadratic Bezier curve from the rim of one state to the rim of another; points of shape (2,)."""
+    """A quadratic Bezier curve between the rims of two states; points of shape (2,)."""
 
     start: Points
     control: Points
@@ -43,7 +42,7 @@ class Curve:
 
 @dataclass(frozen=True)
 class Box:
-    """An axis-parallel box: its centre and half its width and height."""
+    """An axis-parallel box by centre, half width and half height."""
 
     x: float
     y: float
@@ -51,24 +50,24 @@ class Box:
     half_height: float
 
     def overlap(self, other: Box) -> float:
-        """The common area."""
+        """Area of the intersection."""
         across = self.half_width + other.half_width - abs(self.x - other.x)
         down = self.half_height + other.half_height - abs(self.y - other.y)
         return max(0.0, across) * max(0.0, down)
 
     def holds(self, points: Points) -> int:
-        """How many of some points, shape (n, 2), lie inside."""
+        """Number of points, shape (n, 2), inside."""
         inside = np.abs(points - (self.x, self.y)) <= (self.half_width, self.half_height)
         return int(inside.all(axis=1).sum())
 
 
 def place(initial: int, transitions: Collection[Transition], states: Iterable[int]) -> dict[int, Points]:
-    """A position of shape (2,) for every state; the upper left corner of the drawing is near (0, 0).
+    """A position of shape (2,) for every state; the drawing's upper left corner is near (0, 0).
 
     Args:
-        initial: the state that stands leftmost.
-        transitions: those that decide the columns, without self-loops.
-        states: the states to place; those that no transition reaches stand in the last column.
+        initial: the leftmost state.
+        transitions: determine the columns; without self-loops.
+        states: to place; unreached ones go in the last column.
     """
     column = _columns(initial, transitions, states)
     rows = _rows(column, transitions)
@@ -81,7 +80,7 @@ def place(initial: int, transitions: Collection[Transition], states: Iterable[in
 
 
 def route(transitions: Iterable[Transition], position: Mapping[int, Points]) -> dict[Transition, Curve]:
-    """A curve for every transition, clear of states and of each other as far as a bow can do it."""
+    """A curve for every transition, with as few collisions as the available bows allow."""
     edges = sorted(transitions, key=lambda tau: float(np.hypot(*(position[tau[1]] - position[tau[0]]))))
     pairs = set(edges)
     curves: dict[Transition, Curve] = {}
@@ -97,12 +96,9 @@ def route(transitions: Iterable[Transition], position: Mapping[int, Points]) -> 
 
 
 def free_directions(at: Points, curves: Iterable[Curve], prefer: tuple[int, ...] = DIRECTIONS) -> list[Points]:
-    """Unit vectors out of a state, those first along which no curve passes by.
+    """Unit vectors out of a state, the least crowded by curves first.
 
-    Args:
-        at: the state's position.
-        curves: from ``route``.
-        prefer: directions in degrees, clockwise from the right; the earlier wins a tie.
+    ``prefer`` gives directions in degrees, clockwise from the right; the earlier wins a tie.
     """
     points = np.concatenate([np.empty((0, 2)), *(curve.at(np.linspace(0, 1, 40)) for curve in curves)])
     angles = np.radians(prefer)
@@ -117,13 +113,7 @@ def free_directions(at: Points, curves: Iterable[Curve], prefer: tuple[int, ...]
 def label_boxes(
     curves: Mapping[Transition, Curve], widths: Mapping[Transition, float], taken: Iterable[Box]
 ) -> dict[Transition, Box]:
-    """A place for the label of every curve, on the curve, away from states, labels and other curves.
-
-    Args:
-        curves: from ``route``.
-        widths: of every label.
-        taken: boxes to keep clear of.
-    """
+    """A label box of given width on every curve, away from ``taken``, states, labels and other curves."""
     boxes = list(taken)
     found: dict[Transition, Box] = {}
     samples = {tau: curve.at(np.linspace(0, 1, 40)) for tau, curve in curves.items()}
@@ -141,11 +131,11 @@ def label_boxes(
 
 
 def _columns(initial: int, transitions: Collection[Transition], states: Iterable[int]) -> dict[int, int]:
-    """The column of every state: the longest way to its component; unreached states go last."""
+    """Column of every state: the longest path to its component."""
     successors = predecessors((target, q) for q, target in transitions)
     ahead = {q: closure([q], successors) for q in {initial, *(q for tau in transitions for q in tau)}}
     column: dict[int, int] = {}
-    # A state with more states ahead of it comes before them in every topological order of the components.
+    # Sorting by the number of reachable states gives a topological order of the components.
     for q in sorted(ahead[initial], key=lambda q: -len(ahead[q])):
         component = {p for p in ahead[q] if q in ahead[p]}
         if q not in column:
@@ -158,7 +148,7 @@ def _columns(initial: int, transitions: Collection[Transition], states: Iterable
 
 
 def _rows(column: Mapping[int, int], transitions: Collection[Transition]) -> list[list[int]]:
-    """The states of every column from top to bottom, by the mean height of their neighbours."""
+    """States of every column, ordered by the mean height of their neighbours."""
     rows = [sorted(q for q in column if column[q] == x) for x in range(max(column.values()) + 1)]
     for sweep in range(6):
         order = range(len(rows)) if sweep % 2 == 0 else range(len(rows) - 1, -1, -1)
@@ -175,7 +165,7 @@ def _rows(column: Mapping[int, int], transitions: Collection[Transition]) -> lis
 
 
 def _curve(a: Points, b: Points, bow: float) -> Curve:
-    """From rim to rim; the middle of the curve is ``bow`` pixels to the left of the straight line."""
+    """A curve whose middle is ``bow`` pixels left of the straight line."""
     along = b - a
     normal = np.array([along[1], -along[0]]) / np.hypot(*along)
     control = (a + b) / 2 + 2 * bow * normal
@@ -189,7 +179,7 @@ def _rim(centre: Points, toward: Points, gap: float = 0.0) -> Points:
 
 
 def _crowding(curve: Curve, states: Points, drawn: Points) -> float:
-    """A penalty for touching states (heavy) and running along other curves (light)."""
+    """Penalty for touching states (heavy) and running along curves (light)."""
     points = curve.at(np.linspace(0.05, 0.95, 25))[:, None, :]
     to_states = np.hypot(*np.moveaxis(points - states, -1, 0))
     to_curves = np.hypot(*np.moveaxis(points - drawn, -1, 0))

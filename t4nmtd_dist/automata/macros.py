@@ -1,4 +1,4 @@
-"""Two patterns from which the formulas of the built-in tasks are made; both return LTLf text."""
+"""Two patterns that generate the LTLf text of the built-in tasks."""
 
 from __future__ import annotations
 
@@ -6,15 +6,14 @@ from collections.abc import Collection, Sequence
 
 
 def strict_then(colours: Sequence[str], watched: Sequence[Collection[str]] | None = None) -> str:
-    """First the first colour, then the second, and so on, and no watched colour in between.
+    """The colours in the given order, with no watched colour in between.
 
-    ``strict_then(["a", "b"])`` is ``(!a & !b) U (a & X((!a & !b) U b))``. A stage's own colour together with
-    a wrong one counts as right.
+    ``strict_then(["a", "b"])`` is ``(!a & !b) U (a & X((!a & !b) U b))``. The right colour counts even if a wrong one
+    holds too.
 
     Args:
-        colours: the propositions to be met in turn, at least one.
-        watched: for each stage the propositions that must not hold before its colour does; all colours of the
-            chain at every stage if left out.
+        colours: propositions to meet in order, at least one.
+        watched: per stage, propositions forbidden before its colour; by default all colours.
 
     Raises:
         ValueError: if there is no colour, or not one collection of watched propositions per colour.
@@ -35,7 +34,7 @@ def strict_then(colours: Sequence[str], watched: Sequence[Collection[str]] | Non
 
 
 def then(goals: Sequence[str]) -> str:
-    """First the first goal, at some later step the second, and so on, whatever happens in between.
+    """The goals in the given order, each at a later step than the one before.
 
     ``then(["a", "b"])`` is ``F(a & X(F(b)))``.
 

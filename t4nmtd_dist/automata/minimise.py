@@ -1,4 +1,4 @@
-"""From any complete deterministic automaton to the one canonical DFA of its non-empty traces."""
+"""Converts a complete deterministic automaton to the canonical DFA of its non-empty traces."""
 
 from __future__ import annotations
 
@@ -16,12 +16,12 @@ MAX_ENTRIES = 1 << 25
 
 
 class RawAutomaton(NamedTuple):
-    """What a translator builds: complete and deterministic, in no particular form.
+    """A translator's result: complete and deterministic, in no particular form.
 
     Attributes:
         delta: int32, shape (states, 2**propositions); symbols as in ``DFA``.
         accepting: bool, shape (states,).
-        initial: the state before the first symbol; whether it accepts does not matter.
+        initial: the state before the first symbol; may accept or not.
     """
 
     delta: NDArray[np.int32]
@@ -30,7 +30,7 @@ class RawAutomaton(NamedTuple):
 
 
 def check_size(states: int, propositions: int) -> None:
-    """Refuse a transition table that would not fit.
+    """Reject a transition table that is too large.
 
     Raises:
         TranslationError: if it has more than ``MAX_ENTRIES`` entries.
@@ -43,7 +43,7 @@ def check_size(states: int, propositions: int) -> None:
 
 
 def canonical_dfa(propositions: tuple[str, ...], automaton: RawAutomaton, deadline: Deadline) -> DFA:
-    """The minimal complete DFA of the automaton's non-empty traces, numbered by breadth-first search.
+    """The minimal complete DFA of the non-empty traces, with states in breadth-first order.
 
     Raises:
         TranslationError: if the deadline passes.
@@ -63,7 +63,7 @@ def canonical_dfa(propositions: tuple[str, ...], automaton: RawAutomaton, deadli
 
 
 def numbered_dfa(propositions: tuple[str, ...], automaton: RawAutomaton) -> DFA:
-    """The states of an automaton that are reached, numbered by breadth-first search; none are merged."""
+    """The reachable states of an automaton in breadth-first order; merges none."""
     order = _breadth_first(automaton.delta, automaton.initial)
     rank = np.full(len(automaton.delta), -1, np.int32)
     rank[order] = np.arange(len(order))
@@ -72,13 +72,13 @@ def numbered_dfa(propositions: tuple[str, ...], automaton: RawAutomaton) -> DFA:
 
 
 def _with_fresh_initial(automaton: RawAutomaton) -> tuple[NDArray[np.int32], NDArray[np.bool_]]:
-    """State 0 becomes a new initial state that nothing enters and that does not accept."""
+    """Prepend a new, non-accepting initial state 0 without incoming transitions."""
     delta = np.concatenate([automaton.delta[[automaton.initial]], automaton.delta]) + np.int32(1)
     return delta, np.concatenate([[False], automaton.accepting])
 
 
 def _unique(rows: NDArray[Any]) -> tuple[NDArray[Any], NDArray[np.int32]]:
-    """The distinct rows in order of their first occurrence, and for each row its number among them."""
+    """Distinct rows by first occurrence, and each row's index among them."""
     numbers: dict[bytes, int] = {}
     inverse = np.array(
         [numbers.setdefault(row.tobytes(), len(numbers)) for row in np.ascontiguousarray(rows)],
@@ -89,7 +89,7 @@ def _unique(rows: NDArray[Any]) -> tuple[NDArray[Any], NDArray[np.int32]]:
 
 
 def _refined(delta: NDArray[np.int32], accepting: NDArray[np.bool_], deadline: Deadline) -> NDArray[np.int32]:
-    """Moore's partition refinement: states of one block accept the same suffixes, the empty one included."""
+    """Moore's partition refinement: states of a block accept the same suffixes."""
     block = _unique(accepting[:, None])[1]
     while True:
         deadline.check()

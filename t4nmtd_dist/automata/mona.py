@@ -1,4 +1,4 @@
-"""LTLf to automaton by MONA: LTLf2DFA writes the program, MONA's table of transitions is read here."""
+"""LTLf to automaton by MONA: LTLf2DFA writes the program, this module parses the transition table."""
 
 from __future__ import annotations
 
@@ -26,17 +26,17 @@ _TRANSITION = re.compile(r"^State (\d+): ([01X]*) -> state (\d+)$", re.MULTILINE
 
 
 def find_mona() -> str | None:
-    """The path of the ``mona`` program, or None where it is not installed."""
+    """Path of the ``mona`` program, or None if not installed."""
     return shutil.which("mona")
 
 
 def translate_by_mona(formula: Formula, propositions: Sequence[str], deadline: Deadline) -> RawAutomaton:
-    """A complete deterministic automaton of a formula, built by MONA.
+    """A formula's complete deterministic automaton, built by MONA.
 
     Args:
-        formula: whose propositions are all among ``propositions``.
+        formula: its propositions must be among ``propositions``.
         propositions: at most 16 names, in the order of the symbols' bits.
-        deadline: of the whole translation; MONA is ended when it passes.
+        deadline: of the translation; MONA is killed when it passes.
 
     Raises:
         TranslationError: if MONA is missing or fails, the deadline passes, or the table is too large.
@@ -46,9 +46,9 @@ def translate_by_mona(formula: Formula, propositions: Sequence[str], deadline: D
 
 
 def mona_program(formula: Formula, propositions: Sequence[str]) -> str:
-    """LTLf2DFA's MONA program for a formula, proposition i being called ``Pi`` there.
+    """LTLf2DFA's MONA program for a formula, with proposition i renamed to ``Pi``.
 
-    MONA's reserved words and LTLf2DFA's upper-casing could clash with the names of the task.
+    The task's own names could clash with MONA's reserved words or LTLf2DFA's upper-casing.
     """
     from ltlf2dfa.base import MonaProgram
 
@@ -70,7 +70,7 @@ def _ltlf2dfa_tree(formula: Formula, variables: Mapping[str, str]) -> Any:
 
 
 def _run_mona(program: str, deadline: Deadline) -> str:
-    """MONA's output for a program in a temporary file of this call."""
+    """Run MONA on a program in a temporary file."""
     path = find_mona()
     if path is None:
         raise TranslationError(
@@ -84,7 +84,7 @@ def _run_mona(program: str, deadline: Deadline) -> str:
 
 
 def _output(command: list[str], deadline: Deadline) -> str:
-    """What a command prints; its whole process group ends with this call."""
+    """Output of a command, killed with its process group on timeout."""
     process = _started(command)
     try:
         output, _ = process.communicate(timeout=deadline.left())
@@ -100,7 +100,7 @@ def _output(command: list[str], deadline: Deadline) -> str:
 
 
 def _started(command: list[str]) -> subprocess.Popen[str]:
-    """A process in a session of its own, so that what it starts can be ended with it."""
+    """Start a process in its own session, so that its children can be killed too."""
     try:
         return subprocess.Popen(
             command,
@@ -116,17 +116,17 @@ def _started(command: list[str]) -> subprocess.Popen[str]:
 
 
 def read_table(output: str, propositions: int) -> RawAutomaton:
-    """The automaton in MONA's output.
+    """Parse the automaton in MONA's output.
 
-    State 0 is MONA's dummy start; the state that it goes to is the initial one. Every transition line is a
-    cube with one digit per free variable: 0, 1, or X for either.
+    State 0 is MONA's dummy start; its successor is the initial state. A transition line is a cube with one digit per
+    free variable: 0, 1, or X for either.
 
     Args:
-        output: what ``mona -w`` printed, free variables being named ``P0``, ``P1``, ...
-        propositions: their number.
+        output: output of ``mona -w`` with free variables ``P0``, ``P1``, ...
+        propositions: number of propositions.
 
     Raises:
-        TranslationError: if the output is no complete automaton, or the table is too large.
+        TranslationError: if the automaton is incomplete or the table too large.
     """
     header = [pattern.search(output) for pattern in (_VARIABLES, _ACCEPTING, _STATES)]
     if None in header:
@@ -134,7 +134,7 @@ def read_table(output: str, propositions: int) -> RawAutomaton:
     variables, accepted, count = (found.group(1).split() for found in header if found)
     states = int(count[0])
     check_size(states, propositions)
-    # One axis of length 2 per proposition after the first, highest bit first.
+    # After the state axis, one axis of length 2 per proposition, highest bit first.
     delta = np.full((states, *[2] * propositions), -1, dtype=np.int32)
     axes = [propositions - int(name[1:]) for name in variables]
     for source, cube, target in _TRANSITION.findall(output):

@@ -1,11 +1,9 @@
 """LTLf to automaton in pure Python: formula progression on binary decision diagrams.
 
-What must hold of the rest of a trace is a boolean function of *obligations* "there is a next position and psi
-holds there". Every formula unfolds into a boolean function of propositions, true or false now, and of
-obligations: phi U psi = psi | (phi & X(phi U psi)). As a diagram that tests propositions first, the unfolding
-of a state holds all its successors: they are the sub-diagrams below the propositions, one for each distinct
-residual and none per symbol. Equal boolean functions are one diagram, and a formula has finitely many
-obligations, so the search ends.
+A state is a Boolean function of *obligations* "there is a next position and psi holds there". A formula unfolds into a
+Boolean function of current propositions and obligations: phi U psi = psi | (phi & X(phi U psi)). Diagrams test
+propositions first, so a state's successors are the sub-diagrams below the propositions: one per distinct residual, not
+per symbol. Equal functions are one diagram and a formula has finitely many obligations, so the search terminates.
 """
 
 from __future__ import annotations
@@ -24,15 +22,12 @@ _TRUE_FORMULA = Formula(Operator.TRUE)
 
 
 def translate_by_progression(formula: Formula, propositions: Sequence[str], deadline: Deadline) -> RawAutomaton:
-    """A complete deterministic automaton of a formula, states being sets of equivalent residual formulas.
+    """A formula's complete deterministic automaton; states are classes of equivalent residual formulas.
 
-    Args:
-        formula: whose propositions are all among ``propositions``.
-        propositions: at most 16 names, in the order of the symbols' bits.
-        deadline: of the whole translation.
+    Arguments as for ``mona.translate_by_mona``.
 
     Raises:
-        TranslationError: if the deadline passes or the transition table grows too large.
+        TranslationError: if the deadline passes or the transition table becomes too large.
     """
     unfolding = _Unfolding(propositions, deadline)
     initial = unfolding.obligation(formula)
@@ -50,7 +45,7 @@ def translate_by_progression(formula: Formula, propositions: Sequence[str], dead
 
 
 class _Unfolding:
-    """Formulas as diagrams over propositions (upper levels) and obligations (lower levels)."""
+    """Formulas as diagrams; propositions have the upper levels, obligations the lower."""
 
     def __init__(self, propositions: Sequence[str], deadline: Deadline) -> None:
         self._diagrams = DiagramStore(deadline)
@@ -63,24 +58,24 @@ class _Unfolding:
         self._progressed = {FALSE: FALSE, TRUE: TRUE}
 
     def obligation(self, formula: Formula) -> int:
-        """The diagram of: there is a next position, and the formula holds there."""
+        """Diagram of: there is a next position, and the formula holds there."""
         if formula not in self._obligations:
             self._obligations[formula] = self._diagrams.variable(self._width + len(self._obliged))
             self._obliged.append(formula)
         return self._obligations[formula]
 
     def successors(self, state: int) -> NDArray[np.int64]:
-        """The residual diagram after each symbol, shape (2**|AP|,)."""
+        """Residual diagram after each symbol, shape (2**|AP|,)."""
         return self._by_symbol(self._progress(state), 0)
 
     def holds_at_end(self, state: int) -> bool:
-        """Whether a trace may end in a state: no obligation is met there."""
+        """Whether a trace may end in a state, with all obligations false."""
         while state not in (FALSE, TRUE):
             state = self._diagrams.low[state]
         return state == TRUE
 
     def _progress(self, state: int) -> int:
-        """The state with each obligation replaced by the unfolding of its formula."""
+        """Replace a state's obligations with the unfoldings of their formulas."""
         if state not in self._progressed:
             d = self._diagrams
             condition = self._unfold(self._obliged[d.level[state] - self._width])
@@ -142,5 +137,5 @@ class _Unfolding:
                 return d.conjunction(parts[1], d.disjunction(parts[0], self._weak_obligation(formula)))
 
     def _weak_obligation(self, formula: Formula) -> int:
-        """The diagram of: if there is a next position, the formula holds there."""
+        """Diagram of: the formula holds at the next position, if any."""
         return self._diagrams.negation(self.obligation(Formula(Operator.NOT, (formula,))))

@@ -1,4 +1,4 @@
-"""A task automaton without the symbols that its exclusive propositions rule out."""
+"""Removes the symbols that exclusive propositions rule out from a task automaton."""
 
 from __future__ import annotations
 
@@ -17,14 +17,13 @@ ExclusiveGroups = Sequence[Sequence[str]]
 
 @dataclass(frozen=True)
 class ReducedAutomaton:
-    """What is left of a DFA when only the allowed symbols count; states keep the DFA's numbers.
+    """A DFA restricted to allowed symbols; states keep the DFA's numbers.
 
     Attributes:
-        states: the states that allowed symbols reach from the initial state.
-        transitions: every (source, target) pair among them that an allowed symbol takes, sorted, with
-            self-loops and transitions into error states.
-        accepting: F, as far as it is reached.
-        error: E, the reached states from which allowed symbols never reach F.
+        states: states reachable from the initial state.
+        transitions: their (source, target) pairs, sorted, with self-loops and transitions into error states.
+        accepting: the reachable part of F.
+        error: E, the reachable states that cannot reach F.
     """
 
     states: frozenset[int]
@@ -34,7 +33,7 @@ class ReducedAutomaton:
 
     @property
     def progress(self) -> tuple[Transition, ...]:
-        """The transitions a sub-task may aim at: no self-loops, none out of F, none into E."""
+        """Transitions a sub-task may aim at: no self-loops, none out of F, none into E."""
         return tuple(
             (q, target)
             for q, target in self.transitions
@@ -43,15 +42,7 @@ class ReducedAutomaton:
 
 
 def allowed_symbols(dfa: DFA, exclusive: ExclusiveGroups = ()) -> TruthTable:
-    """Symbols in which no two propositions of one exclusive group hold together.
-
-    Args:
-        dfa: the task automaton.
-        exclusive: groups of propositions that can never hold together; names outside AP do not matter.
-
-    Returns:
-        bool array of shape (2**|AP|,).
-    """
+    """Symbols with at most one proposition of each exclusive group, bool (2**|AP|,)."""
     symbols = np.arange(1 << len(dfa.propositions))
     allowed = np.ones(symbols.size, dtype=np.bool_)
     for group in exclusive:
@@ -61,7 +52,7 @@ def allowed_symbols(dfa: DFA, exclusive: ExclusiveGroups = ()) -> TruthTable:
 
 
 def reduce_automaton(dfa: DFA, exclusive: ExclusiveGroups = ()) -> ReducedAutomaton:
-    """Drop the symbols that ``exclusive`` rules out, and the states that are then unreachable."""
+    """Remove the symbols ruled out by ``exclusive`` and the states that become unreachable."""
     delta = dfa.delta[:, allowed_symbols(dfa, exclusive)]
     successors = {q: set(map(int, np.unique(delta[q]))) for q in range(dfa.states)}
     states = closure([dfa.initial], successors)
@@ -72,7 +63,7 @@ def reduce_automaton(dfa: DFA, exclusive: ExclusiveGroups = ()) -> ReducedAutoma
 
 
 def closure(start: Iterable[int], successors: dict[int, set[int]]) -> frozenset[int]:
-    """The states reachable from ``start``, itself included."""
+    """States reachable from ``start``, itself included."""
     found = set(start)
     frontier = list(found)
     while frontier:
@@ -85,9 +76,9 @@ def closure(start: Iterable[int], successors: dict[int, set[int]]) -> frozenset[
 def shortest_distances(
     transitions: Iterable[Transition], targets: Iterable[int], unfulfilled: Collection[int] = ()
 ) -> dict[int, float]:
-    """The number of transitions from each state to the nearest target, for all states that reach one.
+    """Number of transitions to the nearest target, for all states that reach one.
 
-    A transition into a target from one of the ``unfulfilled`` states counts as two (``automata.acceptance``).
+    A transition into a target from an ``unfulfilled`` state counts as two (``automata.acceptance``).
     """
     sources = predecessors(transitions)
     dist = dict.fromkeys(targets, 0.0)
@@ -105,7 +96,7 @@ def shortest_distances(
 
 
 def predecessors(transitions: Iterable[Transition]) -> dict[int, set[int]]:
-    """For every target the set of its sources."""
+    """Set of sources by target."""
     sources: dict[int, set[int]] = {}
     for q, target in transitions:
         sources.setdefault(target, set()).add(q)

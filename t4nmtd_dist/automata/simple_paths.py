@@ -1,10 +1,9 @@
-"""Simple paths (no state twice) of a small directed graph: which edges lie on one, and how long they are.
+"""Simple paths (no repeated state) of a small directed graph: edges on them, and their lengths.
 
-Whether an edge lies on a simple path is a question of vertex-disjoint paths, NP-hard in general. Automata of
-tasks are small and mostly acyclic, so an exact search is fast: a simple path crosses a strongly connected
-component in one piece, hence an edge between two components needs reachability alone, and only edges inside
-one are searched for, within it. A branch of that search is cut as soon as either end of the path is walled
-in, and a dead end (where the path stands, and what it has left free) is never entered twice.
+Deciding whether an edge lies on a simple path is NP-hard in general, but task automata are small and mostly acyclic, so
+an exact search is fast. A simple path crosses a strongly connected component in one piece, so edges between components
+only need reachability and edges inside one a search within it. A branch is cut as soon as either end of the path is
+blocked, and a dead end (position and free vertices) is never entered twice.
 
 Sets of vertices are bit masks: bit v stands for vertex v.
 """
@@ -18,7 +17,7 @@ from t4nmtd_dist.automata.deadline import Deadline
 from t4nmtd_dist.core.errors import ConfigError
 
 Edge = tuple[int, int]
-Walk = tuple[int, int, int]  # masks: where it starts, where it may end, what it may use
+Walk = tuple[int, int, int]  # masks: starts, possible ends, usable vertices
 
 SEARCH_LIMIT = 20_000
 DOING = "the search for simple paths"
@@ -27,17 +26,16 @@ DOING = "the search for simple paths"
 def edges_on_simple_paths(
     edges: Collection[Edge], source: int, targets: Iterable[int], deadline: Deadline | None = None
 ) -> frozenset[Edge]:
-    """The edges that lie on at least one simple path from ``source`` to one of ``targets``.
+    """Edges on at least one simple path from ``source`` to one of ``targets``.
 
     Args:
-        edges: the graph, without self-loops. No edge leaves a target.
-        source: where every path starts.
-        targets: where a path may end.
-        deadline: of the compilation that this is part of.
+        edges: the graph, without self-loops and edges out of targets.
+        source: start of every path.
+        targets: possible ends of a path.
+        deadline: of the compilation.
 
     Raises:
-        ConfigError: if an edge of a large, tangled component could not be decided within 20,000 steps, or the
-            deadline passes.
+        ConfigError: if an edge of a large component is undecided after 20,000 dead ends, or the deadline passes.
     """
     goal = _mask(targets)
     graph = _Graph(edges, deadline)
@@ -59,7 +57,7 @@ def edges_on_simple_paths(
 def simple_path_lengths(
     edges: Collection[Edge], source: int, targets: Iterable[int], deadline: Deadline | None = None
 ) -> Iterator[int]:
-    """The length of every simple path from ``source`` to ``targets``; a path ends at its first target."""
+    """Lengths of all simple paths from ``source`` to ``targets``; a path ends at its first target."""
     graph = _Graph(edges, deadline)
     goal = _mask(targets)
 
@@ -75,7 +73,7 @@ def simple_path_lengths(
 
 
 class _Graph:
-    """Successors and predecessors of every vertex, as bit masks."""
+    """Successors and predecessors of every vertex as bit masks."""
 
     def __init__(self, edges: Iterable[Edge], deadline: Deadline | None = None) -> None:
         self.successors: dict[int, int] = {}
@@ -87,23 +85,23 @@ class _Graph:
             self.predecessors[target] = self.predecessors.get(target, 0) | 1 << q
 
     def reach(self, start: int, within: int = -1) -> int:
-        """Vertices reachable from ``start`` by paths that stay in ``within`` (after the start)."""
+        """Vertices reachable from ``start`` by paths within ``within`` (after the start)."""
         if self._deadline is not None:
             self._deadline.check(DOING)
         return _closure(self.successors, start, within)
 
     def reach_back(self, goal: int, within: int = -1) -> int:
-        """Vertices from which ``goal`` is reachable by paths in ``within`` (before the goal)."""
+        """Vertices that reach ``goal`` by paths within ``within`` (before the goal)."""
         if self._deadline is not None:
             self._deadline.check(DOING)
         return _closure(self.predecessors, goal, within)
 
     def between(self, start: int, goal: int, allowed: int) -> int:
-        """The vertices on walks from ``start`` to ``goal`` within ``allowed``; 0 if there is none."""
+        """Vertices on walks from ``start`` to ``goal`` within ``allowed``; 0 if there is none."""
         return self.reach(start & allowed, allowed) & self.reach_back(goal & allowed, allowed)
 
     def shortest(self, start: int, goal: int, allowed: int) -> list[int]:
-        """The vertices of a shortest path from ``start`` to ``goal``, which must be reachable."""
+        """A shortest path from ``start`` to ``goal``, which must be reachable."""
         layers = [start & allowed]
         seen = layers[0]
         while not layers[-1] & goal:
@@ -115,37 +113,36 @@ class _Graph:
         return path[::-1]
 
     def unavoidable(self, start: int, goal: int, allowed: int) -> int:
-        """The vertices that lie on every path from ``start`` to ``goal``, which must be reachable."""
+        """Vertices on every path from ``start`` to ``goal``, which must be reachable."""
         path = self.shortest(start, goal, allowed)
         return _mask(v for v in path if not self.between(start, goal, allowed & ~(1 << v)))
 
     def component(self, v: int) -> int:
-        """The strongly connected component of a vertex."""
+        """Strongly connected component of a vertex."""
         if v not in self._components:
             component = self.reach(1 << v) & self.reach_back(1 << v)
             self._components.update(dict.fromkeys(_bits(component), component))
         return self._components[v]
 
     def entered(self, vertices: int) -> int:
-        """The heads of all edges out of ``vertices``."""
+        """Heads of all edges out of ``vertices``."""
         return _union(self.successors, vertices)
 
     def entering(self, vertices: int) -> int:
-        """The tails of all edges into ``vertices``."""
+        """Tails of all edges into ``vertices``."""
         return _union(self.predecessors, vertices)
 
 
 def _path_through(graph: _Graph, edge: Edge, component: int, entries: int, exits: int) -> list[Edge]:
-    """The edges, within a component, of a simple path from an entry over ``edge`` to an exit; or none.
+    """Edges, within a component, of a simple path from an entry over ``edge`` to an exit, if any.
 
-    The path is grown backwards from the edge's source until an entry is met; the half that follows the edge
-    then only needs an exit that is reachable through what is left free.
+    Grows the path backwards from ``edge`` to an entry; its second half then only needs a reachable exit.
     """
     q, target = edge
     dead: set[tuple[int, int, int]] = set()
 
     def grow(v: int, free: int) -> tuple[list[int], int] | None:
-        """A path from an entry to v through free vertices, and what it leaves free."""
+        """A path from an entry to v through free vertices, and the vertices left free."""
         halves = _separate(graph, (entries, 1 << v, free | 1 << v), (1 << target, exits, free | 1 << target))
         if halves is None or (v, *halves) in dead:
             return None
@@ -169,10 +166,10 @@ def _path_through(graph: _Graph, edge: Edge, component: int, entries: int, exits
 
 
 def _separate(graph: _Graph, first: Walk, second: Walk) -> tuple[int, int] | None:
-    """The vertices that two disjoint paths may use, each on its own side, or none if there cannot be two.
+    """Vertices usable by each of two disjoint paths, or None if there cannot be two.
 
-    A vertex that one path cannot do without is taken from the other, until nothing changes. No pair of
-    disjoint paths is lost by that; that there is one is not proved.
+    Removes each path's unavoidable vertices from the other until nothing changes. This loses no pair of disjoint paths,
+    but does not prove that one exists.
     """
     (start, goal, mine), (other_start, other_goal, others) = first, second
     while True:
@@ -202,7 +199,7 @@ def _union(neighbours: dict[int, int], vertices: int) -> int:
 
 
 def _bits(mask: int) -> Iterator[int]:
-    """The vertices of a mask, in ascending order."""
+    """Vertices of a mask, ascending."""
     while mask:
         lowest = mask & -mask
         yield lowest.bit_length() - 1

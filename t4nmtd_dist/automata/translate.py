@@ -1,4 +1,4 @@
-"""From the text of an LTLf formula to its canonical DFA."""
+"""Translates LTLf text to its canonical DFA."""
 
 from __future__ import annotations
 
@@ -26,20 +26,20 @@ def translate(
     time_limit: float = 30.0,
     deadline: Deadline | None = None,
 ) -> DFA:
-    """The minimal complete DFA of a formula over non-empty traces, the same from every translator.
+    """The minimal complete DFA of a formula over non-empty traces, independent of the translator.
 
     Args:
         formula: LTLf in LTLf2DFA's syntax (see ``t4nmtd_dist.automata.formula``).
-        propositions: the names that may occur; any if left out. The DFA has those that do occur, sorted.
-        translator: ``mona``, ``python``, or ``auto``: MONA where it is installed, else Python.
-        time_limit: seconds after which the translation gives up; parsing does not count.
-        deadline: in place of ``time_limit``, that of a compilation that this is part of.
+        propositions: allowed names; None allows any. The DFA has those that occur, sorted.
+        translator: ``mona``, ``python``, or ``auto``: MONA if installed, else Python.
+        time_limit: timeout in seconds, without parsing.
+        deadline: replaces ``time_limit`` within a compilation.
 
     Raises:
-        FormulaError: on a syntax error, an unknown proposition, more than 16 propositions, or a formula that
-            no trace or every trace satisfies.
-        TranslationError: if MONA was asked for and is missing, or the limit on time or size is exceeded.
-        ConfigError: on an unknown translator or a time limit that is not positive.
+        FormulaError: on a syntax error, an unknown proposition, over 16 propositions, or an unsatisfiable or valid
+            formula.
+        TranslationError: if a requested MONA is missing, or a time or size limit is exceeded.
+        ConfigError: on an unknown translator or a non-positive time limit.
     """
     if translator not in get_args(Translator):
         raise ConfigError(f"translator: expected one of {', '.join(get_args(Translator))}, got {translator!r}")

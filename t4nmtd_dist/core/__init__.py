@@ -1,1 +1,1 @@
-"""What everything else stands on: errors, settings, plain types, state dictionaries."""
+"""Foundations: errors, settings, plain types, state dictionaries."""

@@ -1,4 +1,4 @@
-"""How a policy's actions are picked, and in which ways an evaluation plays."""
+"""Action selection modes of a policy, and the modes of an evaluation."""
 
 from __future__ import annotations
 
@@ -11,10 +11,10 @@ EvaluationActions = Literal["greedy", "sampled", "best"]
 
 
 def action_mode(text: object) -> ActionMode:
-    """``text`` if it names an action mode.
+    """Validate the name of an action mode.
 
     Raises:
-        PolicyError: if it does not.
+        PolicyError: if it is unknown.
     """
     for mode in get_args(ActionMode):
         if text == mode:
@@ -24,14 +24,10 @@ def action_mode(text: object) -> ActionMode:
 
 
 def modes_to_play(setting: EvaluationActions, row_mode: ActionMode | None) -> tuple[ActionMode, ...]:
-    """The modes of the next evaluation: the first is always played, another only where those before it fall short.
+    """Modes of the next evaluation: the first is always played, another only if those before fall short.
 
-    With ``best``, the mode of the evaluations in a row comes first, so that every evaluation of a row was played in
-    one and the same mode. Where there is no row, greedy actions come first.
-
-    Args:
-        setting: ``evaluation.actions``.
-        row_mode: mode of the evaluations in a row so far; None if there is none.
+    With ``best``, the mode of the current row of evaluations (``row_mode``) comes first, so that a row uses one mode.
+    Without a row, greedy comes first.
     """
     if setting != "best":
         return (setting,)

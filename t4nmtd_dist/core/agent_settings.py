@@ -1,15 +1,14 @@
-"""Settings of the registered agents, found by name: each declares its own in ``agents/<name>/config.py``.
+"""Settings of the registered agents; each agent declares its own in ``agents/<name>/config.py``.
 
 Such a module defines
-
 - ``CONFIG``: a frozen dataclass, the section ``[<name>]`` of a task file;
-- ``ACTIONS``: the action spaces it takes, ``"discrete"`` or ``"continuous"``;
+- ``ACTIONS``: supported actions, ``"discrete"`` or ``"continuous"``;
 - ``EXPLORATION`` (optional): settings to raise for more exploration, as ``section.key``;
-- ``LEARNER_DEFAULTS`` (optional): its own defaults for keys of ``[learner]``;
-- ``FORMER_KEYS`` (optional): keys of earlier versions and what to use instead;
+- ``LEARNER_DEFAULTS`` (optional): defaults for keys of ``[learner]``;
+- ``FORMER_KEYS`` (optional): former keys and their replacements;
 - ``check(config, learner)`` (optional): conditions on several settings; raises ConfigError.
 
-It imports no torch: every task file that is read imports it.
+It imports no torch, since reading any task file imports it.
 """
 
 from __future__ import annotations
@@ -26,7 +25,7 @@ ActionKind = Literal["discrete", "continuous"]
 
 @dataclass(frozen=True)
 class AgentSettings:
-    """What an agent's ``config`` module declares; see the module docstring."""
+    """Declarations of an agent's ``config`` module; see the module docstring."""
 
     config: type
     actions: ActionKind
@@ -38,7 +37,7 @@ class AgentSettings:
 
 @cache
 def agent_settings(name: str) -> AgentSettings:
-    """What the agent ``name`` declares.
+    """Declarations of agent ``name``.
 
     Raises:
         ConfigError: if the name is unknown.
@@ -55,14 +54,14 @@ def agent_settings(name: str) -> AgentSettings:
 
 
 def _nothing_to_check(config: Any, learner: Any) -> None:
-    """The check of an agent that declares none."""
+    """Default check of an agent."""
 
 
 def default_sections() -> dict[str, Any]:
-    """The section of every registered agent, with its defaults."""
+    """The default section of every registered agent."""
     return {name: agent_settings(name).config() for name in AGENTS.modules}
 
 
 def agent_for(actions: ActionKind) -> str:
-    """The agent that ``auto`` chooses: the first of the registry that takes these actions."""
+    """The agent chosen by ``auto``: the first registered one that supports these actions."""
     return next(name for name in AGENTS.modules if agent_settings(name).actions == actions)

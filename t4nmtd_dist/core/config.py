@@ -1,8 +1,7 @@
-"""Settings of a task: frozen dataclasses with the defaults, and how they are made from plain data.
+"""Task settings: frozen dataclasses with defaults, built from plain data.
 
 Precedence: the defaults here < those of the chosen agent < the task file < ``--config`` files < ``--set`` flags
-(``core.setting_sources``). An unknown key is an error that names the nearest known one; a key of an earlier version is
-an error that names what to use instead.
+(``core.setting_sources``). Unknown and former keys are errors that name the key to use.
 """
 
 from __future__ import annotations
@@ -38,14 +37,14 @@ class EnvironmentConfig:
 
     Attributes:
         id: a registered Gymnasium id, ``module:id`` (the module registers it), or ``module:callable``.
-        horizon: steps of an episode.
-        options: keywords of the constructor or the callable.
-        labels: ``module:function``, the labelling function; without it the environment reports ``info["labels"]``.
-        path: further folders in which modules are searched for, one or a list, relative to the task file's folder.
-            ``load_task`` makes them absolute and puts the task file's own folder first.
-        snapshots: how states are saved and restored; ``auto`` tries the others in this order and checks each.
-        snapshot_bytes: room of a snapshot, 0 for what the check found; ``replay`` takes what the horizon needs.
-        leave_out: keys of a Dict observation that are not learned from, such as texts.
+        horizon: steps per episode.
+        options: keyword arguments of the constructor or callable.
+        labels: labelling function, ``module:function``; empty if the environment reports ``info["labels"]``.
+        path: module search folders, one or a list, relative to the task file. ``load_task`` makes them absolute and
+            adds the task file's folder in front.
+        snapshots: how states are saved and restored; ``auto`` takes the first of the others that passes verification.
+        snapshot_bytes: snapshot size, 0 for the measured one; ``replay`` takes what the horizon needs.
+        leave_out: keys of a Dict observation to ignore, such as texts.
     """
 
     id: str
@@ -59,22 +58,22 @@ class EnvironmentConfig:
 
     @property
     def folders(self) -> tuple[str, ...]:
-        """The folders of ``path``, in the order in which they are searched."""
+        """The folders of ``path`` in search order."""
         listed = (self.path,) if isinstance(self.path, str) else self.path
         return tuple(folder for folder in listed if folder)
 
 
 @dataclass(frozen=True)
 class DecompositionConfig:
-    """How transitions are dealt to sub-tasks and how far states are from acceptance (spec: Decomposition).
+    """How transitions are assigned to sub-tasks, and distances to acceptance (spec: Decomposition).
 
     Attributes:
         mode: ``objective``, ``literal`` or ``random`` (see ``t4nmtd_dist.method.decomposition.decompose``).
-        prune: leave out transitions that no simple path to acceptance takes.
-        keep: ``helpful`` merges sub-tasks with equal transitions and, where ``prune`` is on, leaves out those that
-            never bring acceptance nearer; ``all`` keeps every sub-task, as in the paper (docs/decisions/019).
+        prune: drop transitions on no simple path to acceptance.
+        keep: ``helpful`` merges sub-tasks with equal transitions and, with ``prune``, drops those that never reduce the
+            distance to acceptance; ``all`` keeps every sub-task, as in the paper (docs/decisions/019).
         dist: ``shortest`` path to acceptance, or the ``mean`` over all simple paths.
-        time_limit: seconds that compiling the task may take, from formula to sub-tasks.
+        time_limit: maximum compilation time in seconds, from formula to sub-tasks.
     """
 
     mode: Literal["objective", "literal", "random"] = "objective"
@@ -86,7 +85,7 @@ class DecompositionConfig:
 
 @dataclass(frozen=True)
 class HighLevelConfig:
-    """Q(q, T) and E(Q, q): step size, exploration, and whether a decision's length is discounted."""
+    """Step size, exploration and discounting of Q(q, T) and E(Q, q)."""
 
     alpha: Share = 0.1
     epsilon: Share = 0.1
@@ -95,29 +94,28 @@ class HighLevelConfig:
 
 @dataclass(frozen=True)
 class LearnerConfig:
-    """What all learners share.
+    """Settings shared by all learners.
 
     Attributes:
-        method: how the task is decomposed and its sub-tasks are joined, a name in ``core.registry.METHODS``:
-            ``t4nmtd``, or ``random``, which deals the same transitions to as many sub-tasks from the run's seed
-            (experiment 2).
-        algorithm: name of an agent, such as ``ppo`` (discrete actions) or ``sac`` (continuous actions); ``auto``
-            chooses by the action space.
-        gamma: discount per step, also the one inside the shaped reward.
-        shaping: ``potential`` (potential difference on every step), ``paper`` (only when a target is reached),
-            ``subtask`` (10 for a target, 100 for acceptance); docs/decisions/006 and 014 have the measurements.
-        error_penalty: taken off the reward of a step into an error state, in any shaping.
-        reward_scale: factor on rewards before they reach the critics.
-        intervention: where a peer's value comes from (docs/decisions/013): ``query`` asks its process, ``replica``
-            evaluates a copy of its networks, and both evaluate peers in the learner's own process directly; ``local``
-            knows only the latter, and uses the own critic for all others; ``off`` always uses the own critic.
-        attempt_steps: steps after which an attempt is cut (a truncation, the critic bootstraps).
-        hand_over: which states become start states of the next sub-task: those in which a ``target`` was reached,
-            as in the paper, or all in which the DFA changed, so that a critic knows whatever it is asked about.
-        hidden: widths of the hidden layers of actor and critic, at least one.
-        normalise_observations: whether every learner brings observations to mean 0 and variance 1, by what it has seen
-            (docs/decisions/020); ``auto``: unless the environment comes with the package. Before ``auto`` is decided
-            (``environments.decisions``), it counts as ``off``.
+        method: a name in ``core.registry.METHODS``: ``t4nmtd``, or ``random``, which assigns the same transitions to as
+            many sub-tasks at random (experiment 2).
+        algorithm: an agent, such as ``ppo`` (discrete actions) or ``sac`` (continuous actions); ``auto`` chooses by the
+            action space.
+        gamma: discount per step, also used in the shaped reward.
+        shaping: ``potential`` (potential difference on every step), ``paper`` (only at targets), ``subtask`` (10 for a
+            target, 100 for acceptance); measured in docs/decisions/006 and 014.
+        error_penalty: subtracted from the reward of a step into an error state.
+        reward_scale: reward factor for the critics.
+        intervention: source of a peer's value (docs/decisions/013): ``query`` asks its process, ``replica`` evaluates a
+            copy of its networks; both evaluate peers in this process directly. ``local`` does only the latter and
+            otherwise uses the own critic; ``off`` always does.
+        attempt_steps: maximum length of an attempt (a truncation: the critic bootstraps).
+        hand_over: which states become start states of the next sub-task: those at a ``target``, as in the paper, or at
+            any DFA change, so that critics are trained on all states they are queried about.
+        hidden: hidden layer widths of actor and critic, at least one.
+        normalise_observations: normalise observations to mean 0 and variance 1 by each learner's statistics
+            (docs/decisions/020); ``auto``: unless the environment comes with the package. Unresolved
+            (``environments.decisions``), ``auto`` counts as ``off``.
     """
 
     method: str = "t4nmtd"
@@ -138,13 +136,13 @@ class EvaluationConfig:
     """When the global policy is evaluated and when the task counts as solved.
 
     Attributes:
-        episodes: episodes of an evaluation.
-        every: interactions between two evaluations.
-        in_a_row: how many successful evaluations in a row solve the task.
-        success: success rate from which on an evaluation counts towards those in a row.
-        actions: ``greedy`` (the most likely ones), ``sampled``, or ``best``: greedy ones, and sampled ones where those
-            fall short of ``success``; the better of the two is reported, and what is exported acts in that way. All
-            evaluations of a row are of one mode.
+        episodes: episodes per evaluation.
+        every: interactions between evaluations.
+        in_a_row: consecutive successful evaluations that solve the task.
+        success: minimum success rate of a successful evaluation.
+        actions: ``greedy`` (the most likely ones), ``sampled``, or ``best``: greedy, then sampled if greedy falls short
+            of ``success``. The better one is reported, and the exported policy uses it. All evaluations of a row have
+            one mode.
     """
 
     episodes: Count = 20
@@ -156,14 +154,14 @@ class EvaluationConfig:
 
 @dataclass(frozen=True)
 class TaskConfig:
-    """Everything that defines a training: the task file with all defaults filled in.
+    """All settings of a training: the task file with defaults filled in.
 
     Attributes:
-        acceptance: ``first`` ends an episode at the first accepting state, ``end`` asks what the whole episode
-            satisfies (docs/acceptance.md); ``auto`` decides by the automaton, and a compiled task has one of the two.
+        acceptance: ``first`` ends an episode at the first accepting state, ``end`` evaluates the whole episode
+            (docs/acceptance.md); ``auto`` decides by the automaton and is resolved in a compiled task.
         agents: settings of every registered agent by name; in a task file, the section ``[<name>]``.
-        learner_given: keys of the section ``[learner]`` that were given. It is no setting, and not part of ``to_dict``:
-            an algorithm that is chosen later brings its own defaults for all others.
+        learner_given: keys given in the section ``[learner]``; an algorithm chosen later supplies its defaults for the
+            others. Not a setting and not in ``to_dict``.
     """
 
     name: str
@@ -196,14 +194,14 @@ class TaskConfig:
         """Settings of the chosen algorithm: an instance of its agent's ``CONFIG``.
 
         Raises:
-            ConfigError: if the algorithm is not decided yet.
+            ConfigError: if the algorithm is still ``"auto"``.
         """
         if self.learner.algorithm == "auto":
             raise ConfigError('learner.algorithm = "auto" is not decided yet: pass the task through prepared() first')
         return self.agents[self.learner.algorithm]
 
     def to_dict(self) -> dict[str, Any]:
-        """Plain data that ``task_config`` reads back; fit for TOML and the wire."""
+        """Plain data for ``task_config``; fit for TOML and the wire."""
         whole: dict[str, Any] = plain(self)
         del whole["learner_given"]
         agents: dict[str, Any] = whole.pop("agents")
@@ -214,7 +212,7 @@ def check_algorithm(name: str) -> None:
     """Check the value of ``learner.algorithm``.
 
     Raises:
-        ConfigError: if it is neither ``auto`` nor the name of an agent.
+        ConfigError: if it is neither ``auto`` nor an agent.
     """
     if name != "auto":
         AGENTS.check(name, "learner.algorithm")
@@ -236,15 +234,11 @@ def _check_names(task: TaskConfig) -> None:
 
 
 def task_config(data: Mapping[str, Any], *, source: str = "task") -> TaskConfig:
-    """Build a TaskConfig from plain data.
-
-    Args:
-        data: nested mappings, as a TOML file gives them.
-        source: where they come from, for messages.
+    """Build a TaskConfig from nested mappings, as in TOML; ``source`` is for messages.
 
     Raises:
-        ConfigError: for an unknown key (with the nearest known one), a key of an earlier version (with what replaces
-            it), a missing key, a wrong type or range.
+        ConfigError: for an unknown key (suggests the nearest), a former key (names its replacement), a missing key, a
+            wrong type or range.
     """
     try:
         _refuse_unknown_keys(data, TaskConfig, ())
@@ -264,12 +258,12 @@ def _from_known_keys(data: Mapping[str, Any]) -> TaskConfig:
 
 
 def learner_defaults(algorithm: object) -> Mapping[str, Any]:
-    """What an algorithm lays under the section ``[learner]``; nothing for what is no algorithm, or ``auto``."""
+    """An algorithm's defaults for the section ``[learner]``; empty for ``auto`` and unknown names."""
     return agent_settings(algorithm).learner_defaults if algorithm in AGENTS.modules else {}
 
 
 def _known_keys(kind: Any) -> Mapping[str, Any]:
-    """The keys of a section and their types."""
+    """Keys of a section and their types."""
     found = dict(hints(kind))
     if kind is TaskConfig:
         del found["learner_given"], found["agents"]
@@ -293,7 +287,7 @@ def _nearest(key: str, known: Mapping[str, Any], path: tuple[str, ...]) -> str:
 
 
 def former_key(path: tuple[str, ...]) -> str:
-    """What to use instead of a key of an earlier version, as a sentence; empty for a key that never was."""
+    """A sentence naming the replacement of a former key; empty for others."""
     section, key = path[0], path[-1]
     dotted = ".".join(path)
     table = agent_settings(section).former_keys if section in AGENTS.modules and len(path) == 2 else FORMER_KEYS

@@ -1,4 +1,4 @@
-"""Where a learner's networks are evaluated and trained: the processor or a GPU."""
+"""Devices for a learner's networks: CPU or GPU."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ def check_device(device: Device) -> None:
     """Check that PyTorch can use a device; imports PyTorch only for ``cuda``.
 
     Raises:
-        ConfigError: if it cannot; the text says what to do.
+        ConfigError: if it cannot; the message says what to do.
     """
     if device == "cpu":
         return

@@ -1,19 +1,19 @@
-"""The errors that a user can meet; each message says what was expected, what came and what to do."""
+"""User-facing errors; each message says what was expected, what was found and what to do."""
 
 BROKEN_ENVIRONMENT = 4
 """Exit code of a worker whose environment failed; for all else that a user can mend it is 2."""
 
 
 class T4NMTDError(Exception):
-    """Anything that a user can mend; command lines print its message and exit with code 2."""
+    """An error the user can fix; commands print its message and exit with code 2."""
 
 
 class FormulaError(T4NMTDError):
-    """A formula that cannot be parsed, or cannot serve as a task (unsatisfiable, valid)."""
+    """A formula with a syntax error, or unsuitable as a task (unsatisfiable, valid)."""
 
 
 class TranslationError(T4NMTDError):
-    """A formula that the chosen translator could not turn into an automaton."""
+    """A formula that the chosen translator could not translate."""
 
 
 class ConfigError(T4NMTDError):
@@ -21,11 +21,11 @@ class ConfigError(T4NMTDError):
 
 
 class EnvError(T4NMTDError):
-    """An environment that does not keep its side of the contract (labels, snapshots, spaces)."""
+    """An environment that violates its contract (labels, snapshots, spaces)."""
 
 
 class ProtocolError(T4NMTDError):
-    """A message that does not follow docs/protocol.md."""
+    """A message that violates docs/protocol.md."""
 
 
 class KeyFileError(T4NMTDError):
@@ -33,11 +33,11 @@ class KeyFileError(T4NMTDError):
 
 
 class LeaseError(T4NMTDError):
-    """A claim on a sub-task that the coordinator refused."""
+    """A sub-task claim refused by the coordinator."""
 
 
 class ImportNameError(T4NMTDError):
-    """A module of somebody else's that Python finds under the name of one of our packages."""
+    """A foreign module imported under the name of one of our packages."""
 
 
 class RunError(T4NMTDError):
@@ -49,4 +49,4 @@ class PolicyError(T4NMTDError):
 
 
 class TrustError(T4NMTDError):
-    """Code that a policy, a run or a coordinator names, and that this user has not said to run."""
+    """Code named by a policy, run or coordinator that this user has not trusted."""

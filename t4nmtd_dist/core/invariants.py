@@ -1,4 +1,4 @@
-"""Invariants of state machines: what must hold between any two events."""
+"""Invariants of state machines, checked between events."""
 
 from __future__ import annotations
 
@@ -6,30 +6,30 @@ from collections.abc import Mapping
 
 
 class InvariantError(AssertionError):
-    """A state machine has come into a state that must not be: a defect of the program, whatever was sent to it."""
+    """A state machine in an invalid state: a bug in the program, whatever its input."""
 
 
 def require(holds: bool, text: str, *values: object) -> None:
-    """Raise if an invariant does not hold.
+    """Raise if an invariant is violated.
 
     Raises:
-        InvariantError: with the text, in which ``values`` stand for its ``{}``.
+        InvariantError: with the text, formatted with ``values``.
     """
     if not holds:
         raise InvariantError(text.format(*values))
 
 
 class Monotone:
-    """Numbers that may never decrease, remembered from one check to the next."""
+    """Checks that numbers never decrease between checks."""
 
     def __init__(self) -> None:
         self._seen: dict[str, float] = {}
 
     def check(self, numbers: Mapping[str, float]) -> None:
-        """Compare numbers by name with those of the last check.
+        """Compare numbers by name with the last check.
 
         Raises:
-            InvariantError: if one is smaller, or missing.
+            InvariantError: if one decreased or is missing.
         """
         for name, before in self._seen.items():
             require(name in numbers, "{} was {:g} and is gone", name, before)

@@ -1,7 +1,7 @@
-"""Registries: what a configuration may name, and the module that implements it.
+"""Registries: names usable in a configuration, and the modules that implement them.
 
-To add a method, an agent or a launcher, write its module (or folder) and add one line here. The module is imported
-when it is first asked for, so that naming one costs nothing.
+To add a method, an agent or a launcher, write its module (or folder) and add one line here. Modules are imported on
+first use.
 """
 
 from __future__ import annotations
@@ -17,11 +17,11 @@ from t4nmtd_dist.core.errors import ConfigError
 
 @dataclass(frozen=True)
 class Registry:
-    """Names and the modules behind them.
+    """Names and their modules.
 
     Attributes:
         kind: what is registered, for messages; "agent".
-        modules: name -> dotted name of a module.
+        modules: name -> dotted module name.
     """
 
     kind: str
@@ -32,11 +32,7 @@ class Registry:
         return tuple(sorted(self.modules))
 
     def check(self, name: str, setting: str) -> None:
-        """Check that ``name`` is registered.
-
-        Args:
-            name: as given.
-            setting: where it was given, for the message; "learner.algorithm".
+        """Check that ``name``, the value of ``setting``, is registered.
 
         Raises:
             ConfigError: lists the known names and suggests the nearest.
@@ -58,7 +54,7 @@ class Registry:
         return import_module(f"{dotted}.{part}" if part else dotted)
 
 
-# ``learner.algorithm = "auto"`` chooses the first that takes the environment's actions.
+# ``learner.algorithm = "auto"`` chooses the first that supports the environment's actions.
 AGENTS = Registry(
     "agent",
     {

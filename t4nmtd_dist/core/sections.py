@@ -1,4 +1,4 @@
-"""One section of settings, a frozen dataclass: read from plain data, checked, and turned into plain data again."""
+"""Reads, checks and serialises a section of settings, a frozen dataclass."""
 
 from __future__ import annotations
 
@@ -19,16 +19,11 @@ _MISSING = re.compile(r"Object missing required field `(?P<field>.*)`")
 
 
 def read_section(kind: type[Section], data: Any, key: str = "") -> Section:
-    """Read a section from plain data.
-
-    Args:
-        kind: its dataclass.
-        data: a mapping; keys that ``kind`` does not have are ignored.
-        key: its name, for messages; empty for the whole.
+    """Read a section from a mapping; ignores unknown keys. ``key`` is its name, for messages.
 
     Raises:
-        ConfigError: on a missing key, a wrong type, or a value out of range; names the key, what was expected, and
-            what came.
+        ConfigError: on a missing key, a wrong type, or a value out of range; names the key, the expectation and the
+            value.
     """
     try:
         return msgspec.convert(data, kind)
@@ -37,7 +32,7 @@ def read_section(kind: type[Section], data: Any, key: str = "") -> Section:
 
 
 def check_ranges(section: Any, key: str = "") -> None:
-    """Check the values of a section that a program has constructed, and of the sections in it.
+    """Check the values of a section constructed in code, and of its subsections.
 
     Raises:
         ConfigError: if one is out of range.
@@ -51,7 +46,7 @@ def check_ranges(section: Any, key: str = "") -> None:
 
 
 def plain(value: Any) -> Any:
-    """Builtins of a setting; msgspec itself leaves out what a section has by default."""
+    """A setting as builtins, defaults included, which msgspec would omit."""
     if dataclasses.is_dataclass(value):
         return {each.name: plain(getattr(value, each.name)) for each in dataclasses.fields(value)}
     if isinstance(value, Mapping):
@@ -60,7 +55,7 @@ def plain(value: Any) -> Any:
 
 
 def hints(kind: Any) -> Mapping[str, Any]:
-    """Types of the fields of a section, with their ranges."""
+    """Types of a section's fields, with their ranges."""
     return _hints(kind)
 
 
@@ -78,13 +73,13 @@ def _fits(value: Any, hint: Any) -> bool:
 
 
 def _description(hint: Any) -> str:
-    """What a setting's type says of its range; empty if it has none."""
+    """A setting type's description of its range, if any."""
     found = (each.description for each in getattr(hint, "__metadata__", ()) if isinstance(each, msgspec.Meta))
     return next(found, None) or ""
 
 
 def _sentence(error: str, kind: type, data: Any, key: str) -> str:
-    """A validation error of msgspec in terms of keys."""
+    """A msgspec validation error in terms of keys."""
     match = _PLACE.fullmatch(error)
     text, path = (match["text"], match["path"] or "") if match else (error, "")
     names = [name for name in re.sub(r"\[.*", "", path).split(".") if name]

@@ -1,4 +1,4 @@
-"""Where settings come from: TOML files and ``--set`` flags, one laid over another."""
+"""Sources of settings: TOML files and ``--set`` flags, merged in layers."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ def read_toml(path: Path) -> dict[str, Any]:
     """Read a TOML file.
 
     Raises:
-        ConfigError: if it cannot be read, or is not TOML; the text has file, line and column.
+        ConfigError: if it is unreadable or not TOML; gives file, line and column.
     """
     try:
         return tomllib.loads(path.read_text(encoding="utf-8"))
@@ -25,7 +25,7 @@ def read_toml(path: Path) -> dict[str, Any]:
 
 
 def merge(base: Mapping[str, Any], over: Mapping[str, Any]) -> dict[str, Any]:
-    """``base`` with the keys of ``over`` laid on top, tables merged key by key."""
+    """``base`` overridden by ``over``; nested tables are merged by key."""
     merged = dict(base)
     for key, value in over.items():
         old = merged.get(key)
@@ -35,10 +35,10 @@ def merge(base: Mapping[str, Any], over: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def settings_from_flags(flags: Iterable[str]) -> dict[str, Any]:
-    """Plain data from ``--set section.key=value`` flags; the value is written as in TOML.
+    """Plain data from ``--set section.key=value`` flags with TOML values.
 
     Raises:
-        ConfigError: if a flag is not of that form.
+        ConfigError: if a flag is malformed.
     """
     data: dict[str, Any] = {}
     for flag in flags:

@@ -1,6 +1,6 @@
-"""Types of settings with a range. A value out of range is refused when settings are read or constructed.
+"""Setting types with a range, checked when settings are read or constructed.
 
-The description of a type completes the sentence "learner.gamma = 1.5: expected ...".
+A type's description completes the sentence "learner.gamma = 1.5: expected ...".
 """
 
 from __future__ import annotations

@@ -1,7 +1,7 @@
-"""States to be checkpointed: trees of arrays, numbers, texts and lists, split for files and put together again.
+"""Checkpoint states: trees of arrays, numbers, strings and lists, split for files and rejoined.
 
-Stateful objects implement ``state_dict()`` and ``load_state_dict()``; composites return a dict. Generators of numpy
-fit in as ``rng.bit_generator.state``.
+Stateful objects implement ``state_dict()`` and ``load_state_dict()``; composites return a dict. A numpy generator is
+stored as ``rng.bit_generator.state``.
 """
 
 from __future__ import annotations
@@ -20,10 +20,10 @@ _ARRAY = "array:"
 
 
 def split(state: Mapping[str, Any]) -> tuple[State, Arrays]:
-    """A tree as JSON data in which names stand for the arrays, and the arrays by those names.
+    """Split a tree into JSON data, with names in place of arrays, and the arrays by name.
 
     Raises:
-        TypeError: if a key is no text, or a value is neither an array nor JSON data.
+        TypeError: if a key is not a string, or a value is neither an array nor JSON data.
     """
     arrays: Arrays = {}
     plain: State = _split(state, "", arrays)
@@ -41,7 +41,7 @@ def _split(value: Any, path: str, arrays: Arrays) -> Any:
     if isinstance(value, np.generic):
         return value.item()
     if isinstance(value, str):
-        return ":" + value  # so that no text is taken for the name of an array
+        return ":" + value  # distinguishes strings from array names
     if value is None or isinstance(value, bool | int | float):
         return value
     raise TypeError(f"state{path}: {type(value).__name__} cannot be written to a checkpoint")
@@ -54,7 +54,7 @@ def _key(key: object) -> str:
 
 
 def joined(plain: Any, arrays: Mapping[str, NDArray[Any]]) -> Any:
-    """The tree that ``split`` was given; tuples have become lists.
+    """Rejoin the result of ``split``; tuples have become lists.
 
     Raises:
         KeyError: if an array is missing.
@@ -69,29 +69,29 @@ def joined(plain: Any, arrays: Mapping[str, NDArray[Any]]) -> Any:
 
 
 def copied(state: Mapping[str, Any]) -> State:
-    """The tree with copies of all arrays, which later changes leave alone."""
+    """The tree with copies of all arrays."""
     plain, arrays = split(state)
     copy: State = joined(plain, {name: array.copy() for name, array in arrays.items()})
     return copy
 
 
 def plain_text(plain: State) -> str:
-    """JSON; numbers keep all their digits."""
+    """JSON text; numbers keep all digits."""
     return json.dumps(plain)
 
 
 def stacked(arrays: Sequence[NDArray[Any]]) -> NDArray[Any]:
-    """Arrays that are alike as one [n, ...]; float64 [0, 0] for none."""
+    """Stack equal-shaped arrays as [n, ...]; float64 [0, 0] for none."""
     return np.stack(arrays) if arrays else np.zeros((0, 0))
 
 
 def generator_states(generators: Iterable[np.random.Generator | None]) -> list[Any]:
-    """What ``set_generator_states`` needs; None for a generator that is missing."""
+    """States for ``set_generator_states``; None for missing generators."""
     return [None if each is None else each.bit_generator.state for each in generators]
 
 
 def set_generator_states(generators: Iterable[np.random.Generator | None], states: Sequence[Any]) -> None:
-    """Let generators go on from where others of their kind were."""
+    """Restore the states of generators."""
     for generator, state in zip(generators, states, strict=True):
         if generator is not None and state is not None:
             generator.bit_generator.state = state

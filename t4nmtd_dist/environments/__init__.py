@@ -1,1 +1,1 @@
-"""Anyone's Gymnasium environment as an environment: opening it, its observations and labels, and its snapshots."""
+"""Wraps Gymnasium environments: opening, observations, labels, and snapshots."""

@@ -1,4 +1,4 @@
-"""Snapshots as a seed and the actions since: for environments whose state cannot be read."""
+"""Snapshots by replay of a seed and actions, for environments with unreadable state."""
 
 from __future__ import annotations
 
@@ -14,12 +14,12 @@ from t4nmtd_dist.environments.serialization import padded, reseed, unpadded
 
 
 class ActionReplay:
-    """A seed and the actions since: restoring resets the environment and acts again.
+    """A seed and the actions since; restoring resets the environment and replays them.
 
-    Episodes are cut after ``horizon`` steps, which keeps snapshots of one size. Reseeding is part of the record.
+    Episodes are cut after ``horizon`` steps, which keeps snapshots at one size. Reseeding is recorded too.
 
     Attributes:
-        replayed: steps that restoring has taken; they count as interactions.
+        replayed: steps taken to restore; they count as interactions.
     """
 
     def __init__(self, env: Any, flattener: Flattener, horizon: int) -> None:
@@ -33,7 +33,7 @@ class ActionReplay:
         self._observation = self._flattener.flatten(self.reset(0))
 
     def reset(self, seed: int | None) -> Any:
-        """See ``Snapshots.reset``; without a seed, one is drawn."""
+        """See ``Snapshots.reset``; draws a seed if none is given."""
         if seed is not None:
             self._seeds = np.random.default_rng(seed)
         self._seed = int(self._seeds.integers(2**31)) if seed is None else seed
@@ -72,7 +72,7 @@ class ActionReplay:
         self._reseed(seed % (2**32 - 1) + 1)
 
     def bookkeeping(self) -> State:
-        """The seed given since the last step, if any, and the generator of the seeds of resets."""
+        """The seed set since the last step, if any, and the generator of reset seeds."""
         return {"rng": self._reseeded, "seeds": self._seeds.bit_generator.state}
 
     def load_bookkeeping(self, state: State) -> None:
@@ -81,6 +81,6 @@ class ActionReplay:
         self._seeds.bit_generator.state = state["seeds"]
 
     def _reseed(self, seed: int) -> None:
-        """Reseed, and record it with the next step; 0 in the record means that the generator was left alone."""
+        """Reseed; the next step records it (0: none)."""
         self._reseeded = seed
         reseed(self._env, seed)

@@ -1,4 +1,4 @@
-"""Which action spaces agents can act in: Discrete, or a bounded vector of real numbers, as each agent declares."""
+"""Action spaces that agents support: Discrete, or a bounded real vector."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ Bounds = tuple[NDArray[np.float32], NDArray[np.float32]]
 
 
 def check_action_space(task: TaskConfig, space: object) -> None:
-    """Check that the task's learners can act in a space.
+    """Check that the task's learners support an action space.
 
     Raises:
         EnvError: if not; names the algorithm, the environment and the space.
@@ -27,12 +27,7 @@ def check_action_space(task: TaskConfig, space: object) -> None:
 
 
 def action_count(space: object, environment: str, agent: str = "this agent") -> int:
-    """How many actions an agent with discrete actions chooses from.
-
-    Args:
-        space: the action space.
-        environment: its id, for messages.
-        agent: the agent's name, for messages.
+    """Number of discrete actions; ``environment`` and ``agent`` are names for messages.
 
     Raises:
         EnvError: if the space is not Discrete.
@@ -43,12 +38,12 @@ def action_count(space: object, environment: str, agent: str = "this agent") -> 
 
 
 def action_bounds(space: object, environment: str, agent: str = "this agent") -> Bounds:
-    """Lowest and highest actions of an agent with continuous actions, float32 [A]; see ``action_count`` for arguments.
+    """Lowest and highest continuous actions, float32 [A]; arguments as for ``action_count``.
 
-    Where float32 is too coarse, they are inside the space.
+    Bounds that float32 cannot represent are rounded inwards.
 
     Raises:
-        EnvError: if the space is not a Box of one dimension, of real numbers within finite bounds.
+        EnvError: if the space is not a one-dimensional Box of real numbers with finite bounds.
     """
     if not isinstance(space, spaces.Box):
         raise EnvError(f"{agent} needs a Box action space; {environment} has {space}")
@@ -61,7 +56,7 @@ def action_bounds(space: object, environment: str, agent: str = "this agent") ->
 
 
 def _inside(bound: NDArray[Any], inwards: float) -> NDArray[np.float32]:
-    """The bound in float32, moved inwards by one unit in the last place where rounding would lead outside."""
+    """The bound in float32, rounded inwards."""
     near: NDArray[np.float32] = bound.astype(np.float32)
     outside = near < bound if inwards > 0 else near > bound
     return np.where(outside, np.nextafter(near, np.float32(inwards)), near).astype(np.float32)

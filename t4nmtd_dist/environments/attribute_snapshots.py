@@ -1,4 +1,4 @@
-"""Snapshots of an environment's attributes, with what it keeps elsewhere beside them."""
+"""Snapshots of an environment's attributes and of state kept elsewhere."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ _OWN, _MUJOCO = "own", "mujoco"
 
 
 def own_layer(env: Any) -> Any:
-    """The outermost of an environment and what it wraps that has ``get_state`` and ``set_state``; None if none."""
+    """The outermost layer of a wrapped environment with ``get_state`` and ``set_state``, or None."""
     while True:
         if callable(getattr(env, "get_state", None)) and callable(getattr(env, "set_state", None)):
             return env
@@ -32,17 +32,17 @@ def own_layer(env: Any) -> Any:
 
 
 class AttributeSnapshots:
-    """Snapshots of the attributes of an environment and of its wrappers.
+    """Snapshots of the attributes of an environment and its wrappers.
 
-    A snapshot holds the observation and those attributes that differ from a fresh environment after ``reset(seed=0)``:
-    tables that never change cost nothing. What the environment keeps elsewhere comes beside them: the array of its
-    own ``get_state`` (then only the wrappers around it are looked into), or MuJoCo's integration state.
+    A snapshot holds the observation and the attributes that differ from a fresh environment after ``reset(seed=0)``, so
+    constant tables cost nothing. It adds the array of the environment's ``get_state`` (then only the wrappers around
+    that layer are read), or MuJoCo's integration state.
 
     Args:
         env: the environment.
         adapter: "own", "mujoco" or "attributes".
         flattener: of its observations.
-        snapshot_bytes: size of one snapshot; 0 for as much as it happens to need.
+        snapshot_bytes: size of a snapshot; 0 for no padding.
     """
 
     replayed = 0
@@ -97,7 +97,7 @@ class AttributeSnapshots:
         return self._observation
 
     def _attributes(self) -> dict[str, tuple[dict[str, Any], str]]:
-        """Every attribute by key, as the dictionary that holds it and its name there."""
+        """Every attribute's dictionary and name, by key."""
         return {
             f"{depth}.{name}": (vars(layer), name)
             for depth, layer in enumerate(self._layers)
@@ -134,7 +134,7 @@ class AttributeSnapshots:
         reseed(self._env, seed)
 
     def bookkeeping(self) -> State:
-        """Nothing: the snapshot holds the observation."""
+        """Empty: the snapshot holds everything."""
         return {}
 
     def load_bookkeeping(self, state: State) -> None:
@@ -142,7 +142,7 @@ class AttributeSnapshots:
 
 
 class _MujocoState:
-    """MuJoCo's integration state: positions, velocities, controls, forces, and the solver's warm start."""
+    """MuJoCo's integration state, with the solver's warm start."""
 
     def __init__(self, env: Any) -> None:
         import mujoco
@@ -156,7 +156,7 @@ class _MujocoState:
         return state.tobytes()
 
     def set(self, data: bytes) -> None:
-        """Restore, with what is derived from positions (sites, sensors) as of them."""
+        """Restore, and derive position-dependent data (sites, sensors)."""
         state = np.frombuffer(data, np.float64).copy()
         self._mujoco.mj_setState(self._env.model, self._env.data, state, self._kind)
         self._mujoco.mj_forward(self._env.model, self._env.data)

@@ -1,6 +1,6 @@
-"""Environments as the learners see them: N copies stepped together, with labels and exact snapshots.
+"""The environment interface for learners: N environments with labels and exact snapshots.
 
-Every environment keeps one contract, ``BatchedEnv``; ``environments.make_env`` opens one.
+All environments implement ``BatchedEnv``; ``environments.make_env`` opens them.
 """
 
 from __future__ import annotations
@@ -21,13 +21,13 @@ Observations = NDArray[np.float32]
 
 @dataclass(frozen=True)
 class EnvStep:
-    """What one step of all N copies gave.
+    """Result of one step of all N environments.
 
     Attributes:
         observations: float32 [N, d], after the step.
-        labels: bool [N, P], the true propositions of each copy in the order of ``propositions``.
-        terminated: bool [N], copies whose environment has ended.
-        truncated: bool [N], copies whose environment cut the episode: a time-out, after which it cannot go on.
+        labels: bool [N, P], true propositions in the order of ``propositions``.
+        terminated: bool [N].
+        truncated: bool [N], episodes cut by the environment, such as by a time limit.
     """
 
     observations: Observations
@@ -37,9 +37,9 @@ class EnvStep:
 
 
 class BatchedEnv(Protocol):
-    """N copies of an environment.
+    """N environments stepped together.
 
-    The loop it is meant for::
+    Intended loop::
 
         observations = environment.reset(all_rows, seed)
         while True:
@@ -56,22 +56,22 @@ class BatchedEnv(Protocol):
 
     @property
     def replayed(self) -> int:
-        """Steps taken so far only to restore states; they are interactions like any other."""
+        """Steps taken so far to restore states; they count as interactions."""
 
     def reset(self, rows: Rows, seed: int | None = None) -> Observations:
-        """The environment's own reset of some copies; float32 [len(rows), d]."""
+        """Reset some environments; float32 [len(rows), d]."""
 
     def restore(self, rows: Rows, states: Sequence[NDArray[Any]]) -> Observations:
-        """Put some copies into snapshots; float32 [len(rows), d]."""
+        """Restore snapshots in some environments; float32 [len(rows), d]."""
 
     def snapshot(self, rows: Rows) -> list[NDArray[Any]]:
-        """The states of some copies, one flat array each."""
+        """Snapshots of some environments, one flat array each."""
 
     def step(self, actions: NDArray[Any]) -> EnvStep:
-        """Step every copy."""
+        """Step every environment."""
 
     def state_dict(self) -> State:
-        """Everything that decides the future of all copies, random generators included, for a checkpoint."""
+        """Complete state of all environments, random generators included, for a checkpoint."""
 
     def load_state_dict(self, state: State) -> None:
-        """Go on from a ``state`` of an environment with as many copies."""
+        """Restore from the ``state_dict`` of as many environments."""

@@ -1,4 +1,4 @@
-"""What deserves a warning before a training, one line each."""
+"""Warnings before a training, one line each."""
 
 from __future__ import annotations
 
@@ -10,11 +10,11 @@ from t4nmtd_dist.environments.preparation import slowness
 from t4nmtd_dist.method.compiled import CompiledTask
 from t4nmtd_dist.tasks import is_packages_environment
 
-STEPS, MOST_S = 200, 5.0  # of random play, whichever ends first
+STEPS, MOST_S = 200, 5.0  # limits of random play
 
 
 def cautions(task: CompiledTask) -> list[str]:
-    """What the user should know of a task whose environment was checked (``preparation.prepared``).
+    """Warnings about a task whose environment was checked (``preparation.prepared``).
 
     Raises:
         EnvError: if the environment fails under random actions.
@@ -28,7 +28,7 @@ def cautions(task: CompiledTask) -> list[str]:
         return found + _of_observations(config)
     except T4NMTDError:
         raise
-    except Exception as error:  # whatever a user's environment may raise
+    except Exception as error:  # user code may raise anything
         raise EnvError(f"environment {config.environment.id!r} raised {type(error).__name__}: {error}") from error
 
 

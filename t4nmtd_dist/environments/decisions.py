@@ -1,4 +1,4 @@
-"""Settings that a task file may leave to its environment (``auto``), decided once, before a run starts."""
+"""Resolves settings that depend on the environment (``auto``) before a run starts."""
 
 from __future__ import annotations
 
@@ -13,12 +13,10 @@ from t4nmtd_dist.tasks import is_packages_environment
 
 
 def decided(config: TaskConfig, action_space: object) -> TaskConfig:
-    """The settings without ``auto`` for the algorithm and for the normalisation of observations.
+    """Resolve ``auto`` for the algorithm and the normalisation of observations.
 
-    Args:
-        config: of any task.
-        action_space: of its environment. Discrete calls for an agent with discrete actions, anything else for one with
-            continuous actions; ``check_action_space`` tells whether it can act there.
+    A Discrete action space selects an agent for discrete actions, any other one for continuous actions;
+    ``check_action_space`` verifies the choice.
     """
     if config.learner.algorithm == "auto":
         discrete = isinstance(action_space, spaces.Discrete)
@@ -31,7 +29,7 @@ def decided(config: TaskConfig, action_space: object) -> TaskConfig:
 
 
 def with_algorithm(config: TaskConfig, algorithm: str) -> TaskConfig:
-    """The settings with an algorithm, and its own defaults for whatever was not given."""
+    """Set the algorithm, and its defaults for all settings that were not given."""
     plain, learner = LearnerConfig(), config.learner
     own = agent_settings(algorithm).learner_defaults
     free = {

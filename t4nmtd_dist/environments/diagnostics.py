@@ -1,4 +1,4 @@
-"""A task's environment under random actions: what it reports, how it ends, and whether it fits the task."""
+"""Diagnoses a task's environment under random actions."""
 
 from __future__ import annotations
 
@@ -28,26 +28,25 @@ FORGOTTEN = 0.05
 
 @dataclass
 class Diagnosis:
-    """What was found.
+    """The findings.
 
     Attributes:
-        environment: the environment with its wrappers, as it prints itself.
-        observation_space, action_space: as they print themselves.
-        observation_size: numbers in an observation as the networks see it, the remaining time included.
-        learner: its settings, with everything decided that was left to the environment.
+        environment, observation_space, action_space: their text forms, wrappers included.
+        observation_size: length of the networks' observation, remaining time included.
+        learner: its settings, with ``auto`` resolved.
         propositions: all that may be reported.
         snapshots: the adapter that restores exactly.
-        observations: what they were like.
-        steps, episodes: how many were taken.
-        cut: accepted episodes that the environment itself ended before the horizon.
-        endings: episodes by how they ended: accepted, error, terminated, truncated, horizon.
+        observations: their observed ranges.
+        steps, episodes: number taken.
+        cut: accepted episodes that the environment ended before the horizon.
+        endings: episodes by ending: accepted, error, terminated, truncated, horizon.
         true_steps: steps on which each proposition held.
-        together: how often each set of names that an exclusive group forbids was seen.
-        seen: how often each set of true propositions was seen.
+        together: counts of the sets seen that an exclusive group forbids.
+        seen: counts of the sets of true propositions.
         suggestions: groups that might be declared exclusive.
-        steps_per_s: of one copy, labels included.
-        problems: what makes the task unusable.
-        warnings: what deserves a look.
+        steps_per_s: of one environment, labels included.
+        problems: reasons why the task is unusable.
+        warnings: possible problems.
     """
 
     environment: str
@@ -72,7 +71,7 @@ class Diagnosis:
 
     @property
     def normalised(self) -> bool:
-        """Whether learners normalise numbers of the observations."""
+        """Whether learners normalise any entry of the observations."""
         numbers = any(not part.one_hot for part in self.observations.parts)
         return numbers and self.learner.normalise_observations == "on"
 
@@ -83,12 +82,7 @@ class Diagnosis:
 
 
 def diagnose(task: CompiledTask, *, steps: int, seed: int) -> Diagnosis:
-    """Act at random for a while.
-
-    Args:
-        task: any task, the package's own too.
-        steps: how many.
-        seed: of resets and actions.
+    """Take random actions in any task's environment and collect findings.
 
     Raises:
         EnvError: if the environment cannot be opened, stepped, labelled or restored.
@@ -103,7 +97,7 @@ def diagnose(task: CompiledTask, *, steps: int, seed: int) -> Diagnosis:
         _act(task, env, found, steps, seed)
     except T4NMTDError:
         raise
-    except Exception as error:  # whatever a user's environment may raise
+    except Exception as error:  # user code may raise anything
         raise EnvError(f"environment {config.environment.id!r} raised {described(error)}") from error
     _judge(task, found)
     found.suggestions = suggestions(task, found.seen)
@@ -201,7 +195,7 @@ def _judge(task: CompiledTask, found: Diagnosis) -> None:
 
 
 def _about_the_end(task: CompiledTask, found: Diagnosis) -> list[str]:
-    """What deserves a look where the trace ends with the episode."""
+    """Warnings for tasks whose trace ends with the episode."""
     if task.config.acceptance != "end":
         return []
     horizon, gamma = task.config.environment.horizon, task.config.learner.gamma

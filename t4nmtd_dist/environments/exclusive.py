@@ -1,4 +1,4 @@
-"""Propositions that were never true together under random actions: candidates for ``exclusive`` groups."""
+"""Finds propositions never true together under random actions: candidates for ``exclusive`` groups."""
 
 from __future__ import annotations
 
@@ -23,16 +23,15 @@ KEEPS_END = (
 
 @dataclass(frozen=True)
 class Suggestion:
-    """A group that could be declared exclusive, if its propositions really cannot hold together.
+    """A group to declare exclusive, if its propositions really cannot hold together.
 
     Attributes:
-        group: the propositions, sorted.
         true_steps: steps on which each held.
-        expected_together: pairs to be expected on that many steps if the propositions were independent; where this
-            is below a few, that none was seen says little.
-        states_before, transitions_before: of the automaton with the groups declared so far.
+        expected_together: expected number of steps with a pair if they were independent; if small, seeing none means
+            little.
+        states_before, transitions_before: of the automaton with the declared groups.
         states, transitions: with this group as well.
-        acceptance: how the task accepts with the groups declared so far.
+        acceptance: of the task with the declared groups.
     """
 
     group: tuple[str, ...]
@@ -45,7 +44,7 @@ class Suggestion:
     acceptance: AcceptanceSetting = "first"
 
     def text(self, steps: int) -> str:
-        """The suggestion for human readers."""
+        """The suggestion for display."""
         counts = ", ".join(f"{name} {times}" for name, times in self.true_steps.items())
         return (
             f"{', '.join(self.group[:-1])} and {self.group[-1]} were never true together on {steps} random steps "
@@ -57,12 +56,7 @@ class Suggestion:
 
 
 def suggestions(task: CompiledTask, seen: Mapping[frozenset[str], int]) -> list[Suggestion]:
-    """Groups worth declaring, the most useful ones first.
-
-    Args:
-        task: whose automaton should become smaller.
-        seen: how often each set of true propositions was seen.
-    """
+    """Groups that would shrink the task's automaton, most useful first; ``seen`` counts sets of true propositions."""
     declared = task.config.exclusive
     before = reduce_automaton(task.dfa, declared)
     true = _true_steps(seen)
@@ -79,13 +73,7 @@ def suggestions(task: CompiledTask, seen: Mapping[frozenset[str], int]) -> list[
 
 
 def never_together(names: Iterable[str], seen: Mapping[frozenset[str], int], *, least: int) -> list[tuple[str, ...]]:
-    """The maximal groups of propositions of which no two were ever true in one step.
-
-    Args:
-        names: the propositions to choose from.
-        seen: how often each set of true propositions was seen.
-        least: steps on which a proposition must have held to be in a group.
-    """
+    """Maximal groups of propositions, each true on at least ``least`` steps, of which no two were true in one step."""
     true = _true_steps(seen)
     frequent = [name for name in names if true[name] >= least]
     apart = {
@@ -105,7 +93,7 @@ def _true_steps(seen: Mapping[frozenset[str], int]) -> Counter[str]:
 def _cliques(
     apart: Mapping[str, set[str]], group: set[str], candidates: set[str], done: set[str]
 ) -> Iterator[set[str]]:
-    """Maximal cliques (Bron and Kerbosch, 1973) that hold ``group``, none of ``done``, and else of ``candidates``."""
+    """Maximal cliques that extend ``group`` (Bron and Kerbosch, 1973)."""
     if not candidates and not done:
         yield group
     for name in sorted(candidates):

@@ -1,4 +1,4 @@
-"""Which propositions hold: a task's labelling function, or what the environment itself reports."""
+"""True propositions, from a labelling function or the environment's own report."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ class LabelReader:
     """Reads the true propositions after a step.
 
     Args:
-        config: the section ``[environment]``; ``labels`` names the function, if there is one.
+        config: the section ``[environment]``; ``labels`` names the function, if any.
         propositions: all that may be reported.
 
     Raises:
@@ -39,15 +39,11 @@ class LabelReader:
     def row(self, observation: Any, info: dict[str, Any]) -> NDArray[np.bool_]:
         """The true propositions as bool [P], in the order of ``propositions``.
 
-        Args:
-            observation: as the environment gave it.
-            info: likewise.
-
         Returns:
-            An array that is not for writing: the same set gives the same one.
+            A read-only array, shared by equal sets.
 
         Raises:
-            EnvError: if the function raises, or what comes is not a set of declared names.
+            EnvError: if the function raises, or the labels are not a set of declared names.
         """
         found = self._found(observation, info)
         row = self._rows.get(found) if isinstance(found, frozenset) else None
@@ -82,7 +78,7 @@ class LabelReader:
             return info["labels"]
         try:
             return self._function(observation, info)
-        except Exception as error:  # whatever a user's function may raise
+        except Exception as error:  # user code may raise anything
             raise EnvError(f"labelling function {self.source} raised {described(error)}") from error
 
     @property

@@ -1,4 +1,4 @@
-"""Copies of an ordinary environment, stepped in a loop."""
+"""N ordinary environments stepped in a loop."""
 
 from __future__ import annotations
 
@@ -15,9 +15,9 @@ from t4nmtd_dist.environments.single_env import SingleEnv
 
 
 class LoopedEnv:
-    """Copies of an ordinary environment, stepped one by one.
+    """N ordinary environments, stepped one by one.
 
-    A copy that has ended, or was cut, is not stepped again until it is reset or restored; its last step is repeated.
+    A terminated or truncated environment repeats its last step until it is reset or restored.
     """
 
     def __init__(self, envs: Sequence[SingleEnv]) -> None:
@@ -39,14 +39,14 @@ class LoopedEnv:
         return sum(env.replayed for env in self._envs)
 
     def reset(self, rows: Rows, seed: int | None = None) -> Observations:
-        """See ``BatchedEnv.reset``; copy ``i`` gets seed + i."""
+        """See ``BatchedEnv.reset``; environment ``i`` gets seed + i."""
         if seed is not None:
             self._rng = np.random.default_rng(seed)
         seeds = [None if seed is None else seed + int(i) for i in rows]
         return self._begun(rows, [self._envs[i].reset(s) for i, s in zip(rows, seeds, strict=True)])
 
     def restore(self, rows: Rows, states: Sequence[NDArray[Any]]) -> Observations:
-        """See ``BatchedEnv.restore``; every restored copy gets a new seed."""
+        """See ``BatchedEnv.restore``; reseeds every restored environment."""
         begun = self._begun(rows, [self._envs[i].set_state(s) for i, s in zip(rows, states, strict=True)])
         for i in rows:
             self._envs[i].reseed(int(self._rng.integers(2**31)))

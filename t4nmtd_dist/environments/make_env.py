@@ -1,4 +1,4 @@
-"""Opens N copies of a task's environment: a vector environment as it is, any other copy by copy."""
+"""Opens N copies of a task's environment, vectorised if possible."""
 
 from __future__ import annotations
 
@@ -21,16 +21,11 @@ from t4nmtd_dist.environments.user_errors import calls, described
 def make_env(config: EnvironmentConfig, count: int, propositions: Sequence[str] = ()) -> BatchedEnv:
     """Open ``count`` copies of the configured environment.
 
-    A vector environment with the contract of ``envs.protocol`` is used as it is; any other environment is stepped copy
-    by copy.
-
-    Args:
-        config: the section ``[environment]``.
-        count: N.
-        propositions: all that may be reported, by environments that do not say so themselves.
+    Uses a vector environment that implements ``envs.protocol`` directly; steps all others in a loop. ``propositions``
+    is for environments that do not declare their own.
 
     Raises:
-        EnvError: if the environment is unknown, refuses its options, or lacks labels or snapshots.
+        EnvError: if the environment is unknown, rejects its options, or lacks labels or snapshots.
     """
     spec = find_spec(config)
     if not config.labels and spec is not None and _keeps_vector_contract(spec):
@@ -55,6 +50,6 @@ def _open_vector(config: EnvironmentConfig, spec: Spec, count: int) -> Any:
         raise EnvError(text) from None
     except (gym.error.Error, ImportError) as error:
         raise EnvError(f"environment {config.id!r}: {error}{calls(error)}") from None
-    except Exception as error:  # whatever a user's code may raise
+    except Exception as error:  # user code may raise anything
         text = f"making environment {config.id!r} with {config.options}: {described(error)}"
         raise EnvError(text) from error

@@ -1,4 +1,4 @@
-"""Which code a section ``[environment]`` names beside the package's own and installed environments."""
+"""Lists the code that a section ``[environment]`` names besides the package and installed environments."""
 
 from __future__ import annotations
 
@@ -12,15 +12,14 @@ from t4nmtd_dist.tasks.given import is_given
 
 
 def code_named(config: EnvironmentConfig) -> list[str]:
-    """What opening the environment would import or call; empty if none of it can be a stranger's.
+    """Code that opening the environment would import or call; empty if none of it can be foreign.
 
-    Nothing can be where the id is that of a bundled task, or a plain id, which gymnasium opens only if an installed
-    package has registered it. A plain id with text among its options counts as naming code: installed environments
-    take names of modules and of files (shimmy's ``env_id = "module:id"``, MuJoCo's ``xml_file``). Objects of this
-    process (``tasks.given``) are the user's own.
+    Bundled ids name none, nor do plain ids, which gymnasium opens only if an installed package registered them. But a
+    plain id with strings among its options counts, since installed environments accept module and file names (shimmy's
+    ``env_id = "module:id"``, MuJoCo's ``xml_file``). Objects of this process (``tasks.given``) are the user's own.
 
     Returns:
-        One ``setting = value`` each, with every character that is not printable escaped.
+        ``setting = value`` strings, with non-printable characters escaped.
     """
     bundled = config.id in bundled_ids() or is_given(config.id)
     text = any(isinstance(value, str) for value in _leaves(config.options))
@@ -33,12 +32,12 @@ def code_named(config: EnvironmentConfig) -> list[str]:
 
 @cache
 def bundled_ids() -> frozenset[str]:
-    """Ids of the environments of the tasks that come with the package."""
+    """Environment ids of the bundled tasks."""
     return frozenset(load_task(name).environment.id for name in task_names())
 
 
 def _leaves(options: Mapping[str, Any]) -> Iterator[Any]:
-    """All values of options, however deep; keys only name arguments."""
+    """All values of nested options; keys only name arguments."""
     left: list[Any] = [options]
     while left:
         value = left.pop()

@@ -1,4 +1,4 @@
-"""Vector environments that step their copies themselves."""
+"""Adapter for vector environments."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from t4nmtd_dist.environments.user_errors import call_user
 
 
 class NativeBatchedEnv:
-    """A Gymnasium vector environment that steps its copies itself (``envs.protocol``)."""
+    """A Gymnasium vector environment that implements ``envs.protocol``."""
 
     replayed = 0
 
@@ -54,7 +54,7 @@ class NativeBatchedEnv:
         return EnvStep(observations, info["labels"], terminated, truncated)
 
     def state_dict(self) -> State:
-        """See ``BatchedEnv.state_dict``; ``generators`` are those of the environment beside its ``np_random``."""
+        """See ``BatchedEnv.state_dict``; ``generators`` are the environment's besides ``np_random``."""
         return {
             "snapshots": self._env.get_states(np.arange(self.count)),
             "rng": rng_state(self._env),

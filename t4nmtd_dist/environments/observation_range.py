@@ -1,4 +1,4 @@
-"""What observations are like, seen and declared, and which of them networks learn badly from."""
+"""Ranges of observations, and warnings about those that networks learn badly from."""
 
 from __future__ import annotations
 
@@ -20,11 +20,7 @@ MEND = 'scale them to about -1 to 1, or set learner.normalise_observations = "on
 
 
 class ObservationRange:
-    """Lowest and highest of every number of the observations seen so far, and whether it was always whole.
-
-    Args:
-        parts: what the observations consist of.
-    """
+    """Range of every observation entry so far, and whether it was always whole."""
 
     def __init__(self, parts: Sequence[Part]) -> None:
         size = sum(part.size for part in parts)
@@ -34,13 +30,13 @@ class ObservationRange:
         self.whole = np.ones(size, np.bool_)
 
     def note(self, observation: Vector) -> None:
-        """Take one in, float32 [d]."""
+        """Add an observation, float32 [d]."""
         np.minimum(self.lowest, observation, out=self.lowest)
         np.maximum(self.highest, observation, out=self.highest)
         self.whole &= observation == np.floor(observation)
 
     def described(self) -> list[dict[str, Any]]:
-        """Every part in short, ready for JSON."""
+        """Summary of every part, ready for JSON."""
         return [
             {
                 "name": part.name,
@@ -52,10 +48,9 @@ class ObservationRange:
         ]
 
     def warnings(self, *, normalised: bool) -> list[str]:
-        """One line for each thing that hinders learning, with what to do.
+        """One line for each obstacle to learning, with its remedy.
 
-        Args:
-            normalised: whether learners normalise: that mends everything but numbers that stand for categories.
+        If learners normalise, only numbers that stand for categories are obstacles.
         """
         found: list[str] = []
         for part, numbers in self._numbered():
@@ -110,8 +105,8 @@ class ObservationRange:
 def _bounds(
     part: Part, lowest: NDArray[np.float64], highest: NDArray[np.float64]
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Of a Box those that are declared where they are those of a grid, else what was seen, float64 [k] each."""
+    """Declared bounds that look like a grid's, else observed ones, float64 [k] each."""
     low = part.space.low.reshape(-1).astype(np.float64)  # type: ignore[attr-defined]
     high = part.space.high.reshape(-1).astype(np.float64)  # type: ignore[attr-defined]
-    grid = high - low <= LARGEST_GRID  # not so where one of them is infinite
+    grid = high - low <= LARGEST_GRID  # False if one of them is infinite
     return np.where(grid, low, lowest), np.where(grid, high, highest)

@@ -1,7 +1,7 @@
-"""Observations as vectors: Box, Discrete, MultiDiscrete, or a flat Dict of these.
+"""Flattens observations to vectors: Box, Discrete, MultiDiscrete, or a flat Dict of these.
 
-What is a category becomes one-hot: Discrete, MultiDiscrete, and Boxes of integers with a few values each. All other
-numbers stay numbers.
+Categories become one-hot: Discrete, MultiDiscrete, and integer Boxes with few values per entry. Other numbers are
+unchanged.
 """
 
 from __future__ import annotations
@@ -28,13 +28,13 @@ MOST_ONE_HOT = 512
 
 @dataclass(frozen=True)
 class Part:
-    """What one entry of a Dict, or the whole of another observation, becomes.
+    """The vector's part for a Dict entry, or the whole of another observation.
 
     Attributes:
         name: for messages: ``observation``, or ``observation['image']``.
         space: of the entry.
-        size: how many numbers of the vector it becomes.
-        one_hot: whether they are one-hot.
+        size: length in the vector.
+        one_hot: whether it is one-hot.
         flatten: entry to float32 [size].
     """
 
@@ -47,10 +47,10 @@ class Part:
 
 @dataclass(frozen=True)
 class Flattener:
-    """Turns observations of one space into vectors.
+    """Converts observations of one space to vectors.
 
     Attributes:
-        parts: in the order in which their numbers come.
+        parts: in vector order.
         flatten: observation to float32 [size].
     """
 
@@ -64,19 +64,15 @@ class Flattener:
 
     @property
     def categorical(self) -> NDArray[np.bool_]:
-        """Which numbers of the vectors are one-hot, bool [size]."""
+        """Which vector entries are one-hot, bool [size]."""
         return np.repeat([part.one_hot for part in self.parts], [part.size for part in self.parts])
 
 
 def flattener(space: gym.Space[Any], leave_out: Sequence[str] = ()) -> Flattener:
-    """How observations of ``space`` become vectors; the parts of a Dict come in its own order.
-
-    Args:
-        space: of the observations.
-        leave_out: keys of a Dict that are not used.
+    """The flattener for observations of ``space``; keeps the order of a Dict, without the keys in ``leave_out``.
 
     Raises:
-        EnvError: for any other space, by name, and for keys to leave out that are not there.
+        EnvError: for any other space, and for unknown keys in ``leave_out``.
     """
     if isinstance(space, spaces.Dict):
         return _dict(space, leave_out)
@@ -125,7 +121,7 @@ def _refusal(name: str, space: gym.Space[Any]) -> str:
 
 
 def _part(space: gym.Space[Any], name: str) -> Part | None:
-    """What the entry becomes; None if it cannot be used."""
+    """The part for an entry; None if unsupported."""
     categories = _categories(space)
     if categories is not None:
         first, counts = categories
@@ -137,7 +133,7 @@ def _part(space: gym.Space[Any], name: str) -> Part | None:
 
 
 def _categories(space: gym.Space[Any]) -> tuple[NDArray[np.int64], NDArray[np.int64]] | None:
-    """Lowest value and number of values, int64 [k] each, of the integers that become one-hot; None if it has none."""
+    """Lowest values and value counts, int64 [k] each, of integers that become one-hot, or None."""
     if isinstance(space, spaces.Discrete):
         return np.array([space.start], np.int64), np.array([space.n], np.int64)
     if isinstance(space, spaces.MultiDiscrete):

@@ -1,4 +1,4 @@
-"""Open what a task names: a registered id, ``module:id``, ``module:callable``, or an object of the process."""
+"""Opens a task's environment: a registered id, ``module:id``, ``module:callable``, or a given object."""
 
 from __future__ import annotations
 
@@ -24,18 +24,17 @@ Spec = gym.envs.registration.EnvSpec
 
 
 def open_environment(config: EnvironmentConfig, *, render_mode: str | None = None) -> Env:
-    """One environment as the task file describes it.
+    """Open one environment as the task file describes it.
 
-    Of a registered environment, the wrappers of its registration are kept, but not those that ``gymnasium.make``
-    adds on its own account: the time limit (the task's ``horizon`` and the learner's attempts take its place) and two
-    checkers. What a callable returns is kept as it is, with all its wrappers.
+    Keeps the wrappers of a registration, but not those added by ``gymnasium.make``: two checkers and the time limit,
+    which the task's ``horizon`` and the learner's attempts replace.
 
     Args:
         config: the section ``[environment]``.
-        render_mode: passed on to the environment's constructor, or to the callable if it takes that keyword.
+        render_mode: passed to the constructor, or to a callable that takes it.
 
     Raises:
-        EnvError: if the environment is unknown, cannot be imported, refuses its options, or cannot be drawn.
+        EnvError: if the environment is unknown, cannot be imported, rejects its options, or cannot be rendered.
     """
     spec = find_spec(config)
     maker: Callable[..., Any] = _callable(config) if spec is None else _plain(spec)
@@ -54,7 +53,7 @@ def open_environment(config: EnvironmentConfig, *, render_mode: str | None = Non
 
 
 def _takes_render_mode(maker: Callable[..., Any]) -> bool:
-    """Whether a callable takes the keyword; assumed where Python does not know its parameters."""
+    """Whether a callable takes the keyword; True if unknown."""
     try:
         parameters = inspect.signature(maker).parameters
     except (TypeError, ValueError):
@@ -63,7 +62,7 @@ def _takes_render_mode(maker: Callable[..., Any]) -> bool:
 
 
 def find_spec(config: EnvironmentConfig) -> Spec | None:
-    """The registration behind an id; None if the id is ``module:callable`` or ``python:NAME``.
+    """The registration of an id; None for ``module:callable`` or ``python:NAME``.
 
     Raises:
         EnvError: if there is neither.
@@ -84,12 +83,7 @@ def find_spec(config: EnvironmentConfig) -> Spec | None:
 
 
 def import_function(text: str, config: EnvironmentConfig, key: str) -> Callable[..., Any]:
-    """The function that a setting ``module:function`` names.
-
-    Args:
-        text: the setting.
-        config: whose ``path`` is searched first.
-        key: name of the setting, for messages.
+    """The function of a setting ``key = "module:function"``, searched in ``config.path`` first.
 
     Raises:
         EnvError: if there is no such function.
@@ -117,13 +111,13 @@ def _given(text: str, key: str) -> Callable[..., Any]:
 
 
 def import_module(name: str, config: EnvironmentConfig) -> ModuleType:
-    """Import a module, looking into the task's folders first, as Python does for a script.
+    """Import a module, searching the task's folders first, as Python does for a script.
 
-    The folders are left out where everything that the task names is part of the package or installed: a folder that
-    came with a stranger's policy must not shadow installed modules.
+    Skips the folders if the task names only bundled or installed code, so that a foreign policy's folder cannot shadow
+    installed modules.
 
     Raises:
-        EnvError: if it cannot be imported; the text says where it was searched for.
+        EnvError: if it cannot be imported; the message says where it was searched.
     """
     folders = config.folders if code_named(config) else ()
     try:
@@ -133,7 +127,7 @@ def import_module(name: str, config: EnvironmentConfig) -> ModuleType:
             more = explained(error, folders)
             raise EnvError(f"importing {name!r} for environment {config.id!r}: {described(error)}{more}") from None
         raise EnvError(f"environment {config.id!r}: no module {name!r}{_searched(config)}") from None
-    except Exception as error:  # whatever a user's module may raise
+    except Exception as error:  # user code may raise anything
         more = explained(error, folders) if isinstance(error, ImportError) else ""
         raise EnvError(f"importing {name!r} for environment {config.id!r}: {described(error)}{more}") from error
 
@@ -179,5 +173,5 @@ def _called(config: EnvironmentConfig, options: dict[str, Any], maker: Callable[
         raise EnvError(f"environment {config.id!r} refused its options {options}: {error}{calls(error)}") from None
     except (gym.error.Error, ImportError) as error:
         raise EnvError(f"environment {config.id!r}: {error}{calls(error)}") from None
-    except Exception as error:  # whatever a user's code may raise
+    except Exception as error:  # user code may raise anything
         raise EnvError(f"making environment {config.id!r} with {options}: {described(error)}") from error

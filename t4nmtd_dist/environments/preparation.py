@@ -1,4 +1,4 @@
-"""Before a run starts: the environment opened, stepped, and found to do all that the run will ask of it."""
+"""Checks a task's environment before a run starts."""
 
 from __future__ import annotations
 
@@ -20,17 +20,15 @@ SLOW = (
 
 
 def prepared(task: CompiledTask) -> CompiledTask:
-    """Check the environment of a task, unless it comes with the package and is covered by its tests.
-
-    If formula, propositions or algorithm of such a task were changed, whether they fit is checked all the same.
+    """Check a task's environment; of a bundled one, only the fit of a changed formula, propositions or algorithm.
 
     Returns:
-        The task with everything chosen that was left to the environment, so that all workers use the same: the way to
-        save and restore states, the algorithm, and whether observations are normalised.
+        The task with environment-dependent settings resolved, so that all workers agree: snapshots, algorithm, and
+        normalisation of observations.
 
     Raises:
-        EnvError: if the environment cannot be opened, reset, stepped, labelled or restored, has spaces that the
-            learner cannot use, or does not report what the formula uses.
+        EnvError: if the environment cannot be opened, reset, stepped, labelled or restored, has spaces that the learner
+            cannot use, or does not report a proposition of the formula.
     """
     if is_bundled(task.config):
         return _check_env(task) if _asks_for_more(task.config) else task
@@ -38,12 +36,12 @@ def prepared(task: CompiledTask) -> CompiledTask:
         return _checked(task)
     except T4NMTDError:
         raise
-    except Exception as error:  # whatever a user's environment may raise
+    except Exception as error:  # user code may raise anything
         raise EnvError(f"environment {task.config.environment.id!r} raised {described(error)}") from error
 
 
 def _asks_for_more(config: TaskConfig) -> bool:
-    """Whether the task that comes with the package was changed in what its environment must do."""
+    """Whether a bundled task requires more of its environment."""
     known = load_task(config.name)
     return (config.learner.algorithm, config.formula, config.propositions) != (
         known.learner.algorithm,
@@ -63,7 +61,7 @@ def _check_env(task: CompiledTask) -> CompiledTask:
 
 
 def slowness(config: EnvironmentConfig) -> str | None:
-    """What the user should know if states are restored by replay."""
+    """A warning if states are restored by replay."""
     return SLOW.format(id=config.id, horizon=config.horizon) if config.snapshots == "replay" else None
 
 
@@ -85,7 +83,7 @@ def _checked(task: CompiledTask) -> CompiledTask:
 
 
 def check_fit(task: CompiledTask, propositions: tuple[str, ...], action_space: object) -> None:
-    """Check that the environment reports what the formula uses, and that the learner can act in it.
+    """Check that the environment reports the formula's propositions and suits the learner.
 
     Raises:
         EnvError: if not.

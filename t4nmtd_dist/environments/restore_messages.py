@@ -1,4 +1,4 @@
-"""What to tell of snapshots that do not restore exactly: what differed, the likely cause, and what to do."""
+"""Messages about inexact restores: the difference, a likely cause, and a remedy."""
 
 from __future__ import annotations
 
@@ -26,13 +26,9 @@ CAUSES: Mapping[Adapter, str] = {
 
 
 def difference(name: str, now: Any, then: Any, propositions: Sequence[str]) -> str | None:
-    """How a step after restoring differs from the same step before; None if it does not.
+    """How a step after restoring (``now``) differs from the original (``then``); None if it does not.
 
-    Args:
-        name: "observation" (float [d]), "labels" (bool [P]), "terminated" or "truncated" (bool).
-        now: what it was after restoring.
-        then: what it was before.
-        propositions: names of the labels [P].
+    ``name`` is "observation" (float [d]), "labels" (bool [P]), "terminated" or "truncated" (bool).
     """
     if np.array_equal(now, then, equal_nan=True):
         return None
@@ -56,18 +52,13 @@ def _numbers(now: Any, then: Any) -> str:
 
 
 def _number(now: Any, then: Any) -> str:
-    """Both numbers, in full if they would read the same otherwise."""
+    """Both numbers, in full if their short forms are equal."""
     short = f"{now:g}", f"{then:g}"
     return " instead of ".join(short if short[0] != short[1] else (repr(float(now)), repr(float(then))))
 
 
 def refusal(environment: str, failures: Mapping[Adapter, str]) -> str:
-    """The whole message.
-
-    Args:
-        environment: its id.
-        failures: what each adapter that was tried did wrong; at least one.
-    """
+    """The full message, with the failure of each adapter tried; at least one."""
     lines = [
         f"environment {environment!r} cannot be put back into an earlier state, in which the next sub-task begins; "
         "after restoring a snapshot, the same actions must give exactly the same steps. What was tried:"

@@ -1,4 +1,4 @@
-"""What snapshots made of bytes share: one length for a whole run, and the environment's ``np_random``."""
+"""Shared parts of byte snapshots: padding to one length, and the environment's ``np_random``."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ _LENGTH = np.dtype("<u4")
 
 
 def reseed(env: Env, seed: int) -> None:
-    """Seed the environment's ``np_random`` in place, so that everything that refers to it sees the change."""
+    """Seed the environment's ``np_random`` in place, so that all references to it see the change."""
     fresh = np.random.default_rng(seed)
     held = env.unwrapped.np_random
     if type(held.bit_generator) is type(fresh.bit_generator):
@@ -24,22 +24,22 @@ def reseed(env: Env, seed: int) -> None:
 
 
 def rng_state(env: Env) -> Any:
-    """The state of the environment's ``np_random``; None if it has none yet."""
+    """State of the environment's ``np_random``; None if it does not exist yet."""
     held = getattr(env.unwrapped, "_np_random", None)
     return held.bit_generator.state if isinstance(held, np.random.Generator) else None
 
 
 def set_rng_state(env: Env, state: Any) -> None:
-    """Set the environment's ``np_random`` to a ``rng_state``."""
+    """Restore the environment's ``np_random`` from ``rng_state``."""
     if state is not None:
         env.unwrapped.np_random.bit_generator.state = state
 
 
 def padded(data: bytes, size: int) -> NDArray[np.uint8]:
-    """Length, data, and zeros up to ``size`` bytes of data (0: no more than needed), uint8.
+    """Length, data, and zero padding up to ``size`` bytes of data (0: none), uint8.
 
     Raises:
-        EnvError: if there is more than that.
+        EnvError: if the data is longer.
     """
     if size and len(data) > size:
         raise EnvError(
@@ -53,10 +53,10 @@ def padded(data: bytes, size: int) -> NDArray[np.uint8]:
 
 
 def unpadded(state: NDArray[Any]) -> bytes:
-    """What ``padded`` was given.
+    """The data passed to ``padded``.
 
     Raises:
-        ValueError: if the array was not made so.
+        ValueError: if ``padded`` did not make the array.
     """
     if state.dtype != np.uint8 or state.ndim != 1 or len(state) < _LENGTH.itemsize:
         raise ValueError(f"expected uint8 [n], got {state.dtype} {state.shape}")

@@ -1,4 +1,4 @@
-"""One environment as the learners see it: vectors, labels and snapshots."""
+"""One environment with vector observations, labels and snapshots."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from t4nmtd_dist.environments.user_errors import call_user
 
 
 class SingleStep(NamedTuple):
-    """One step: observation float32 [d], labels bool [P], and whether the episode ended or was cut."""
+    """One step: observation float32 [d], labels bool [P], terminated, truncated."""
 
     observation: Vector
     labels: NDArray[np.bool_]
@@ -30,16 +30,16 @@ class SingleStep(NamedTuple):
 
 
 class SingleEnv:
-    """An environment with everything that a task file adds to it.
+    """An environment as configured by a task file.
 
     Args:
-        config: the section ``[environment]``, its ``snapshots`` chosen (see ``snapshot_choice.with_snapshots``).
-        propositions: all that may be reported. An environment that lists its own ``propositions`` and has no
-            labelling function knows better.
-        render_mode: passed on to the environment.
+        config: the section ``[environment]``, with resolved ``snapshots`` (see ``snapshot_choice.with_snapshots``).
+        propositions: all that may be reported; overridden by the environment's own ``propositions`` if there is no
+            labelling function.
+        render_mode: passed to the environment.
 
     Raises:
-        EnvError: if the environment cannot be opened, or has a space that is not supported.
+        EnvError: if the environment cannot be opened, or has an unsupported space.
     """
 
     def __init__(
@@ -68,11 +68,11 @@ class SingleEnv:
 
     @property
     def replayed(self) -> int:
-        """Steps taken only to restore states."""
+        """Steps taken to restore states."""
         return self._snapshots.replayed
 
     def reset(self, seed: int | None) -> Vector:
-        """Begin an episode; its first observation."""
+        """Begin an episode; returns its first observation."""
         seen = call_user(self._who, "reset()", self._snapshots.reset, seed)
         return _finite(self._flatten(seen), "the observation of reset()")
 
@@ -93,24 +93,24 @@ class SingleEnv:
         return call_user(self._who, "get_state()", self._snapshots.get)
 
     def set_state(self, state: NDArray[Any]) -> Vector:
-        """Restore a snapshot; the observation there.
+        """Restore a snapshot; returns its observation.
 
         Raises:
-            EnvError: if it is no snapshot of this environment.
+            EnvError: if it is not a snapshot of this environment.
         """
         observation = call_user(self._who, "set_state()", self._snapshots.set, state)
         return _finite(observation, "the observation after restoring a state")
 
     def render(self) -> Any:
-        """What the environment draws."""
+        """The rendered frame."""
         return call_user(self._who, "render()", self.env.render)
 
     def reseed(self, seed: int) -> None:
-        """Give the environment's random generator a new seed."""
+        """Seed the environment's random generator."""
         self._snapshots.reseed(seed)
 
     def state_dict(self) -> State:
-        """Everything that decides its future, its random generator included, for a checkpoint."""
+        """Complete state, random generator included, for a checkpoint."""
         return {
             "snapshot": self._snapshots.get(),
             "rng": rng_state(self.env),
@@ -118,7 +118,7 @@ class SingleEnv:
         }
 
     def load_state_dict(self, state: State) -> None:
-        """Continue from a ``state_dict``. A replay's steps are not counted again."""
+        """Restore from ``state_dict``, without counting replayed steps again."""
         replayed = self._snapshots.replayed
         self._snapshots.set(state["snapshot"])
         if self._snapshots.replayed != replayed:
@@ -134,10 +134,10 @@ def _finite(observation: Vector, which: str) -> Vector:
 
 
 def checked_action_space(space: Any) -> Any:
-    """The space, if it is Box or Discrete from 0.
+    """The space, if it is Box or Discrete starting at 0.
 
     Raises:
-        EnvError: if it is another one, by name.
+        EnvError: for any other space.
     """
     if isinstance(space, spaces.Box) or (isinstance(space, spaces.Discrete) and space.start == 0):
         return space

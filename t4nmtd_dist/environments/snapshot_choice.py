@@ -1,4 +1,4 @@
-"""The choice of the snapshot adapter: the first one that restores exactly, which is tested by stepping."""
+"""Chooses the first snapshot adapter that restores exactly, verified by stepping."""
 
 from __future__ import annotations
 
@@ -28,9 +28,8 @@ class AdapterChoice:
     """The adapter that restores exactly.
 
     Attributes:
-        adapter: its name.
-        snapshot_bytes: to set aside for a snapshot; twice the biggest that was seen.
-        failures: what was tried before, and why it did not do.
+        snapshot_bytes: size reserved for a snapshot; twice the largest seen.
+        failures: adapters tried before, and why they failed.
     """
 
     adapter: Adapter
@@ -39,7 +38,7 @@ class AdapterChoice:
 
 
 def with_snapshots(config: EnvironmentConfig, propositions: Sequence[str]) -> EnvironmentConfig:
-    """The settings with an adapter in place of ``auto``, checked unless the environment keeps our own contract."""
+    """Resolve ``snapshots = "auto"``, verified unless the environment implements our own contract."""
     if config.snapshots == "replay" or config.snapshot_bytes:
         return config
     env = open_environment(config)
@@ -51,7 +50,7 @@ def with_snapshots(config: EnvironmentConfig, propositions: Sequence[str]) -> En
 
 
 def with_choice(config: EnvironmentConfig, choice: AdapterChoice) -> EnvironmentConfig:
-    """The settings with an adapter that was chosen."""
+    """The settings with the chosen adapter."""
     return dataclasses.replace(
         config, snapshots=choice.adapter, snapshot_bytes=config.snapshot_bytes or choice.snapshot_bytes
     )
@@ -61,7 +60,7 @@ def choose_snapshots(config: EnvironmentConfig, propositions: Sequence[str], *, 
     """The first adapter that restores exactly.
 
     Raises:
-        EnvError: if none does; the text says what each did wrong.
+        EnvError: if none does; the message says why each failed.
     """
     failures: dict[Adapter, str] = {}
     wanted = _candidates(open_environment(config)) if config.snapshots == "auto" else (config.snapshots,)
@@ -83,22 +82,17 @@ def _candidates(env: Env) -> tuple[Adapter, ...]:
 
 
 class InexactRestoreError(EnvError):
-    """After restoring, the environment went on otherwise than before."""
+    """After restoring, the environment continued differently."""
 
 
 def check_restore(config: EnvironmentConfig, propositions: Sequence[str], *, trials: int = TRIALS) -> int:
-    """Snapshots of one copy, restored into another and into itself: the same actions must give the same steps.
-
-    Args:
-        config: with an adapter.
-        propositions: all that may be reported.
-        trials: how many snapshots.
+    """Restore snapshots into the same environment and into a copy, and compare the next steps.
 
     Returns:
-        Bytes to set aside for a snapshot, 0 if the adapter needs none set aside.
+        Bytes to reserve for a snapshot, 0 if the adapter needs none.
 
     Raises:
-        InexactRestoreError: if something differs, or the adapter failed.
+        InexactRestoreError: if a step differs, or the adapter fails.
         EnvError: if labels cannot be read.
     """
     first, second = SingleEnv(config, propositions), SingleEnv(config, propositions)
@@ -109,7 +103,7 @@ def check_restore(config: EnvironmentConfig, propositions: Sequence[str], *, tri
 
 
 def _trial(first: SingleEnv, second: SingleEnv, trial: int) -> int:
-    """One snapshot; its size in bytes."""
+    """Test one snapshot; returns its size in bytes."""
     first.action_space.seed(trial)
     seen = _walk(first, trial, WALKS[trial % len(WALKS)])
     state = _guarded(first.get_state)
@@ -126,7 +120,7 @@ def _trial(first: SingleEnv, second: SingleEnv, trial: int) -> int:
 
 
 def _walk(env: SingleEnv, seed: int, steps: int) -> NDArray[np.float32]:
-    """Reset and act at random, short of the episode's end; the last observation."""
+    """Reset and act at random without ending the episode; returns the last observation."""
     for allowed in (steps, steps // 2, 0):
         observation = env.reset(seed)
         for _ in range(allowed):

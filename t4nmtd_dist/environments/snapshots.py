@@ -1,9 +1,8 @@
-"""Snapshots of environments: flat arrays that any process with the same environment can restore.
+"""Environment snapshots: flat arrays that any process with the same environment can restore.
 
-``OwnSnapshots`` serves environments like the package's own, which have the contract of ``envs.protocol``. The others
-have ``AttributeSnapshots`` (their attributes, beside their own ``get_state`` or MuJoCo's integration state where there
-is one) or ``ActionReplay`` (a seed and the actions since). docs/decisions/010 says why these. The environment's random
-generator ``np_random`` is not part of a snapshot: every roll-out seeds it anew.
+``OwnSnapshots`` serves environments that implement ``envs.protocol``, such as the bundled ones. Others use
+``AttributeSnapshots`` (attributes, plus ``get_state`` or MuJoCo's integration state) or ``ActionReplay`` (a seed and
+the actions since); see docs/decisions/010. Snapshots exclude ``np_random``: every rollout reseeds it.
 """
 
 from __future__ import annotations
@@ -26,39 +25,39 @@ ADAPTERS: tuple[Adapter, ...] = ("own", "mujoco", "attributes", "replay")
 
 
 class Snapshots(Protocol):
-    """How one environment is put into earlier states."""
+    """Saves and restores the state of one environment."""
 
     replayed: int
 
     def reset(self, seed: int | None) -> Any:
-        """Reset the environment; its observation."""
+        """Reset the environment; returns its observation."""
 
     def acted(self, action: Any, observation: Vector) -> bool:
-        """Note a step; True if no more can be noted, so that the episode must be cut."""
+        """Record a step; True if the episode must be cut because the record is full."""
 
     def get(self) -> NDArray[Any]:
-        """A snapshot of the state now."""
+        """A snapshot of the current state."""
 
     def set(self, state: NDArray[Any]) -> Vector:
-        """Restore a snapshot; the observation there."""
+        """Restore a snapshot; returns its observation."""
 
     def reseed(self, seed: int) -> None:
-        """Give the environment's random generator a new state."""
+        """Seed the environment's random generator."""
 
     def bookkeeping(self) -> State:
-        """What this adapter remembers beside the environment's state, for a checkpoint."""
+        """The adapter's state besides the environment's, for a checkpoint."""
 
     def load_bookkeeping(self, state: State) -> None:
-        """Go on from a ``bookkeeping``, after the snapshot that was taken with it was restored."""
+        """Restore from ``bookkeeping``, after restoring the snapshot taken with it."""
 
 
 def keeps_contract(env: Env) -> bool:
-    """Whether the environment has the contract of ``envs.protocol.SnapshotEnv``."""
+    """Whether the environment implements ``envs.protocol.SnapshotEnv``."""
     return all(hasattr(env, name) for name in ("propositions", "get_state", "set_state"))
 
 
 def has_own_state(env: Env) -> bool:
-    """Whether the environment or something that it wraps has ``get_state`` and ``set_state``."""
+    """Whether the environment or a layer inside it has ``get_state`` and ``set_state``."""
     return own_layer(env) is not None
 
 
@@ -69,17 +68,10 @@ def is_mujoco(env: Env) -> bool:
 
 
 def make_snapshots(env: Env, adapter: Adapter, flattener: Flattener, snapshot_bytes: int, horizon: int) -> Snapshots:
-    """The adapter of a name.
-
-    Args:
-        env: the environment.
-        adapter: its name.
-        flattener: of its observations.
-        snapshot_bytes: size of one snapshot; 0 for as much as it happens to need.
-        horizon: most steps of a replay.
+    """Create an adapter; ``snapshot_bytes`` 0 means no padding, ``horizon`` limits a replay.
 
     Raises:
-        EnvError: if the environment does not have what the adapter needs.
+        EnvError: if the environment lacks what the adapter needs.
     """
     if adapter == "replay":
         return ActionReplay(env, flattener, horizon)
@@ -92,7 +84,7 @@ def make_snapshots(env: Env, adapter: Adapter, flattener: Flattener, snapshot_by
 
 
 class OwnSnapshots:
-    """The snapshots of an environment with the contract of ``envs.protocol``, used as they are."""
+    """Snapshots of an environment that implements ``envs.protocol``."""
 
     replayed = 0
 
@@ -124,10 +116,10 @@ class OwnSnapshots:
             raise EnvError(f"{self._env}: {error}{calls(error)}") from None
 
     def reseed(self, seed: int) -> None:
-        """Leave the generator as it is: it belongs to the environment's own state."""
+        """Do nothing: the generator belongs to the environment's own state."""
 
     def bookkeeping(self) -> State:
-        """Nothing."""
+        """Empty."""
         return {}
 
     def load_bookkeeping(self, state: State) -> None:

@@ -1,6 +1,6 @@
-"""Puts encoded state (``environments.state_encoding``) back into Python objects.
+"""Restores encoded state (``environments.state_encoding``) into Python objects.
 
-Decoding writes into the objects that are there, so that whoever else refers to them sees the change.
+Decoding modifies existing objects in place, so that all references to them see the change.
 """
 
 from __future__ import annotations
@@ -18,10 +18,10 @@ from t4nmtd_dist.environments.state_encoding import OPAQUE, OPAQUE_CODE, CannotR
 
 
 def decode_state(encoded: bytes, current: Any) -> Any:
-    """The value that ``encode_state`` encoded, put into ``current`` as far as it can hold it, else new.
+    """The value encoded by ``encode_state``, stored in ``current`` if possible, else new.
 
     Raises:
-        CannotRestoreError: if objects are needed that ``current`` does not have.
+        CannotRestoreError: if ``current`` lacks required objects.
     """
     return _decode(msgpack.unpackb(encoded, strict_map_key=False), current)
 
@@ -110,7 +110,7 @@ def _decode_object(code: list[Any], current: Any) -> Any:
 
 
 def _restore_attributes(held: MutableMapping[str, Any], codes: dict[str, Any]) -> None:
-    """Make ``held`` have exactly the attributes of ``codes``."""
+    """Give ``held`` exactly the attributes of ``codes``."""
     for name in [name for name in held if name not in codes]:
         del held[name]
     for name, code in codes.items():

@@ -1,10 +1,10 @@
-"""The state of Python objects as bytes, and back, without pickle: what is not plain data is left alone.
+"""Encodes the state of Python objects as bytes without pickle.
 
-Numbers, texts, arrays, containers, random generators, enumerations and the attributes of ordinary objects are
-written down. Functions, modules, locks, surfaces, physics engines and the like are *opaque*: they are taken for
-constants. Whether that is true is checked elsewhere, by stepping (``environments.snapshot_choice``).
+Encodes numbers, strings, arrays, containers, random generators, enums and the attributes of ordinary objects.
+Functions, modules, locks, surfaces, physics engines and the like are *opaque*: assumed constant, which
+``environments.snapshot_choice`` verifies by stepping.
 
-Restoring writes into the objects that are there, so that whoever else refers to them sees the change.
+``environments.state_decoding`` restores existing objects in place.
 """
 
 from __future__ import annotations
@@ -32,18 +32,14 @@ _INT64 = range(-(2**63), 2**63)
 
 
 class CannotRestoreError(EnvError):
-    """A state that cannot be encoded, or cannot be put back into the objects that are there."""
+    """A state that cannot be encoded, or not restored into the existing objects."""
 
 
 def encode_state(value: Any, *, leave: frozenset[int] = frozenset()) -> bytes:
-    """The state of a value as bytes; equal states give equal bytes.
-
-    Args:
-        value: any object.
-        leave: ids of objects to treat as opaque.
+    """Encode a value's state; equal states give equal bytes. Objects with ids in ``leave`` are opaque.
 
     Raises:
-        CannotRestoreError: if it is too big to be walked through.
+        CannotRestoreError: if it has too many parts.
     """
     encoded: bytes = msgpack.packb(_Encoder(leave).encode(value))
     return encoded
@@ -73,7 +69,7 @@ class _Encoder:
         return self._encode_parts(value)
 
     def _encode_parts(self, value: Any) -> Any:
-        """Containers: wherever they are met, but not inside themselves. Objects: where they are met first."""
+        """Encode containers at every occurrence, objects at the first."""
         self._seen.add(id(value))
         encode = _ENCODERS.get(type(value)) or _inherited_encoder(value)
         if encode is not None:

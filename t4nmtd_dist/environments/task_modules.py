@@ -1,8 +1,8 @@
-"""Modules that a task file names, which may be called like ours: ``envs``, ``workers``, ``coordinator``.
+"""Imports modules named by a task file, even if they share a name with ours: ``envs``, ``workers``, ``coordinator``.
 
-The task's folder comes first on Python's path, so a module there is usually imported by its plain name. Where that name
-would give another module (one of ours, or one that is imported already), the file is loaded under a private name:
-``_t4nmtd_task_<folder's hash>.<name>``, a package whose path is the task's folder (docs/decisions/021).
+The task's folder comes first on Python's path, so its modules usually have their plain names. A module shadowed by ours
+or an imported one is loaded under a private name: ``_t4nmtd_task_<folder's hash>.<name>``, a package whose path is the
+task's folder (docs/decisions/021).
 """
 
 from __future__ import annotations
@@ -19,22 +19,18 @@ from types import ModuleType
 import gymnasium as gym
 
 OURS = ("t4nmtd_dist", "coordinator", "workers", "envs")
-OUR_WORLDS = "envs:t4nmtd/"  # ids that begin so mean our environments, whatever else is called envs
+OUR_WORLDS = "envs:t4nmtd/"  # id prefix of our environments, even if another module is called envs
 
 
 def import_task_module(name: str, folders: Sequence[str]) -> ModuleType:
-    """Import a module that a task names; a second import gives the same object.
-
-    Args:
-        name: dotted name.
-        folders: where the task's own modules are, in the order in which they are searched.
+    """Import a module named by a task, searching ``folders`` first; repeated imports give the same object.
 
     Raises:
-        Exception: whatever importing it raises.
+        Exception: anything that the import raises.
     """
     if not folders:
         return importlib.import_module(name)
-    for ours in OURS:  # once they are imported, nothing on the path can hide them
+    for ours in OURS:  # once imported, nothing on the path can shadow them
         importlib.import_module(ours)
     sys.path[:0] = [folder for folder in folders if folder not in sys.path]
     known = set(gym.registry)
@@ -44,7 +40,7 @@ def import_task_module(name: str, folders: Sequence[str]) -> ModuleType:
 
 
 def explained(error: ImportError, folders: Sequence[str]) -> str:
-    """More about a failed import, if one of our packages answered in place of the user's; else ""."""
+    """A hint for a failed import if one of our packages shadowed the user's; else ""."""
     top = (error.name or "").partition(".")[0]
     folder = _folder_of(top, folders) if top in OURS else None
     if folder is None:
@@ -56,28 +52,28 @@ def explained(error: ImportError, folders: Sequence[str]) -> str:
 
 
 def _folder_of(top: str, folders: Sequence[str]) -> str | None:
-    """The first folder that has a module or package of this name."""
+    """The first folder with a module or package of this name."""
     return next((folder for folder in folders if PathFinder.find_spec(top, [folder]) is not None), None)
 
 
 def _importable(name: str, folders: Sequence[str]) -> str:
-    """The name under which Python finds the module of the first folder that has it."""
+    """Import name of the module in the first folder that has it."""
     folder = _folder_of(name.partition(".")[0], folders)
     return _private(name, folder) if folder is not None and _is_hidden(name, folder) else name
 
 
 def _is_hidden(name: str, folder: str) -> bool:
-    """Whether the folder has this module, and its plain name gives another one."""
+    """Whether the folder's module is shadowed under its plain name."""
     top, _, rest = name.partition(".")
     theirs = PathFinder.find_spec(top, [folder])
     if theirs is None:
         return False
-    if theirs.origin is None:  # a folder without __init__.py: Python prefers any module to it
+    if theirs.origin is None:  # a namespace package: Python prefers any module to it
         inner = PathFinder.find_spec(rest.partition(".")[0], list(theirs.submodule_search_locations or ()))
         return top in OURS and bool(rest) and inner is not None
     try:
         plain = importlib.util.find_spec(top)
-    except ValueError:  # a module without a specification, made by hand
+    except ValueError:  # a hand-made module without a spec
         return True
     return plain is None or _place(plain) != _place(theirs)
 
@@ -96,7 +92,7 @@ def _private(name: str, folder: str) -> str:
 
 
 def _redirect(registered: set[str], folders: Sequence[str]) -> None:
-    """Let new registrations find entry points in modules of the folders whose names are taken."""
+    """Point new registrations to the private names of shadowed modules."""
     for spec in (gym.registry[name] for name in registered):
         if isinstance(spec.entry_point, str):
             module, colon, attribute = spec.entry_point.partition(":")

@@ -1,4 +1,4 @@
-"""Environments of tasks whose trace ends with the episode: they report ``last`` and show the time that is left."""
+"""Environments of tasks whose trace ends with the episode: report ``last`` and the remaining time."""
 
 from __future__ import annotations
 
@@ -16,12 +16,12 @@ from t4nmtd_dist.environments.batched import BatchedEnv, EnvStep, Observations, 
 from t4nmtd_dist.environments.make_env import make_env
 
 _TIME = np.dtype("<i8")
-_DTYPE_BYTES = 8  # room for the name of a dtype such as <f4
+_DTYPE_BYTES = 8  # field for a dtype name such as <f4
 _HEADER_BYTES = _TIME.itemsize + _DTYPE_BYTES
 
 
 def make_task_env(task: TaskConfig, count: int) -> BatchedEnv:
-    """``count`` copies of a task's environment, with time where the task needs it.
+    """``count`` copies of a task's environment, with time if the task needs it.
 
     Raises:
         EnvError: see ``make_env``.
@@ -31,39 +31,39 @@ def make_task_env(task: TaskConfig, count: int) -> BatchedEnv:
 
 
 def ends_episode(steps: int, horizon: int, *, terminated: bool, truncated: bool) -> bool:
-    """Whether ``last`` holds: at the horizon, and wherever the environment itself ends the episode."""
+    """Whether ``last`` holds: at the horizon, or if the environment ends the episode."""
     return steps >= horizon or terminated or truncated
 
 
 def remaining_share(steps: NDArray[np.int64] | int, horizon: int) -> NDArray[np.float32]:
-    """The share of the horizon that is left after ``steps`` steps, from 1 down to 0."""
+    """Remaining share of the horizon after ``steps`` steps, from 1 down to 0."""
     share: NDArray[np.float32] = np.asarray(np.maximum(horizon - np.asarray(steps), 0) / horizon, np.float32)
     return share
 
 
 def check_last_is_free(propositions: Sequence[str]) -> None:
-    """Look whether an environment leaves the name ``last`` to the end of the episode.
+    """Check that an environment does not use the proposition ``last``.
 
     Raises:
-        EnvError: if it reports such a proposition itself.
+        EnvError: if it does.
     """
     if LAST in propositions:
         raise EnvError(f"the environment reports {LAST!r}, which is the end of the episode; give it another name")
 
 
 class TimedEnv:
-    """An environment that counts the steps of every copy's episode.
+    """An environment that counts the steps of every episode.
 
-    Observations have one more number, the share of the horizon that is left. ``last`` is one more proposition, true on
-    the last step of an episode: the horizon's, or one on which the environment terminates or truncates. Snapshots carry
-    the time: uint8 arrays of the time, the dtype of the environment's own snapshot, and its bytes.
+    Observations gain the remaining share of the horizon. The proposition ``last`` is true on the last step of an
+    episode: at the horizon, or when the environment terminates or truncates. Snapshots are uint8 arrays of the time,
+    the dtype of the environment's own snapshot, and its bytes.
 
     Args:
-        env: the copies.
-        horizon: steps of an episode.
+        env: the environments.
+        horizon: steps per episode.
 
     Raises:
-        EnvError: if the environment itself reports a proposition ``last``.
+        EnvError: if the environment reports a proposition ``last``.
     """
 
     def __init__(self, env: BatchedEnv, horizon: int) -> None:
@@ -72,7 +72,7 @@ class TimedEnv:
         self.count = env.count
         self.propositions: tuple[str, ...] = (*env.propositions, LAST)
         self.observation_size = env.observation_size + 1
-        self.categorical = np.append(env.categorical, True)  # the time is scaled already
+        self.categorical = np.append(env.categorical, True)  # the time is already scaled: exclude it from normalisation
         self.action_space = env.action_space
         self._steps = np.zeros(env.count, np.int64)
 
@@ -129,7 +129,7 @@ def _taken_apart(state: NDArray[Any]) -> tuple[int, NDArray[Any]]:
     """Steps and the environment's own snapshot.
 
     Raises:
-        EnvError: if the array was not made by ``_put_together``.
+        EnvError: if ``_put_together`` did not make the array.
     """
     if state.dtype != np.uint8 or state.ndim != 1 or len(state) < _HEADER_BYTES:
         raise EnvError(

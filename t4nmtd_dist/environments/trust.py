@@ -1,7 +1,7 @@
-"""Before anything is opened that came from elsewhere: does the user want to run the code that it names?
+"""Asks for the user's consent before foreign code is imported.
 
-A task file that the user names is his own choice, and is remembered as such. A policy, a run to resume and a
-coordinator may be a stranger's: nothing that they name is imported unless it is remembered, or the user says so.
+A task file named by the user is trusted and remembered. Code named by a policy, a resumed run or a coordinator may be
+foreign: it is imported only if remembered or with consent.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from t4nmtd_dist.environments.trusted_code import is_remembered, remember
 
 
 def remember_own(config: EnvironmentConfig) -> None:
-    """Remember the code of a task file that the user has named."""
+    """Remember the code of a task file named by the user."""
     if code_named(config):
         remember(config)
 
@@ -25,17 +25,17 @@ def remember_own(config: EnvironmentConfig) -> None:
 def require_trust(
     config: EnvironmentConfig, source: str, *, given: bool, ask: bool = True, otherwise: str = ""
 ) -> None:
-    """Let code that came from elsewhere be imported only if the user trusts it.
+    """Allow foreign code to be imported only if the user trusts it.
 
     Args:
         config: the section ``[environment]`` that names the code.
-        source: where it came from, to begin a sentence: ``the policy in X``.
-        given: whether the user has passed ``--trust``.
-        ask: whether to ask the user if this process has a terminal.
-        otherwise: what the user can do instead of passing ``--trust``.
+        source: its origin, to begin a sentence: ``the policy in X``.
+        given: whether the user passed ``--trust``.
+        ask: whether to ask at a terminal.
+        otherwise: alternative to ``--trust``, for the message.
 
     Raises:
-        TrustError: if the user has not said that he trusts it, or a folder of modules is not absolute.
+        TrustError: if the user does not trust it, or a module folder is not absolute.
     """
     named = code_named(config)
     if not named:
@@ -57,7 +57,7 @@ def require_trust(
 
 
 def _agreed(source: str, named: Sequence[str]) -> bool:
-    """Ask at the terminal, if there is one; anything but yes is no."""
+    """Ask at the terminal, if there is one; only yes is consent."""
     if not (sys.stdin.isatty() and sys.stderr.isatty()):
         return False
     lines = "".join(f"  {text}\n" for text in named)

@@ -1,8 +1,8 @@
-"""The code that this user has run before on this machine: one small file for each section ``[environment]``.
+"""Remembers the code that this user has run on this machine, one file per section ``[environment]``.
 
-The files are in ``$XDG_STATE_HOME/t4nmtd/trusted``, by default ``~/.local/state/t4nmtd/trusted``. A file's name is a
-digest of everything in the section that names code, and of who owns the folders of its modules. The content of those
-modules is not part of it: who edits his own environment is not asked about it again.
+The files are in ``$XDG_STATE_HOME/t4nmtd/trusted``, by default ``~/.local/state/t4nmtd/trusted``, named by a digest of
+everything in the section that names code and of the module folders' owners. The digest excludes the modules' content,
+so users can edit their environment without being asked again.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ OTHERS_MAY_WRITE = 0o022
 
 
 def remember(config: EnvironmentConfig) -> None:
-    """Note that this user runs the code that ``config`` names; where that cannot be noted, a warning says so."""
+    """Record that this user runs the code named by ``config``; warns if that fails."""
     try:
         folder = _folder()
         folder.mkdir(mode=0o700, parents=True, exist_ok=True)
@@ -38,18 +38,18 @@ def remember(config: EnvironmentConfig) -> None:
 
 
 def is_remembered(config: EnvironmentConfig) -> bool:
-    """Whether this user has run this code before; False also where the notes cannot be read or are not his."""
+    """Whether this user has run this code before; False if the records are unreadable or foreign."""
     try:
         folder = _folder()
         _check_private(folder)
-        os.utime(folder / _digest(config))  # the entries that are forgotten first are those not used for longest
+        os.utime(folder / _digest(config))  # least recently used entries are removed first
     except (OSError, RuntimeError):
         return False
     return True
 
 
 def _folder() -> Path:
-    """Where the notes are; by the XDG base directory specification a relative setting does not count."""
+    """Folder of the records; the XDG specification ignores relative settings."""
     state = os.environ.get("XDG_STATE_HOME", "")
     return (Path(state) if os.path.isabs(state) else Path.home() / ".local" / "state") / "t4nmtd" / "trusted"
 
@@ -72,7 +72,7 @@ def _section(config: EnvironmentConfig) -> dict[str, Any]:
 
 
 def _owner(folder: str) -> int | None:
-    """The number of the user who owns a folder; None if there is no such folder."""
+    """User id of a folder's owner, if it exists."""
     try:
         return os.stat(folder).st_uid
     except (OSError, ValueError):
@@ -80,7 +80,7 @@ def _owner(folder: str) -> int | None:
 
 
 def _write(path: Path, entry: dict[str, Any]) -> None:
-    """Write a note; two processes may write the same one at once."""
+    """Write a record, atomically for concurrent processes."""
     fresh = path.with_name(f".{path.name}.{os.getpid()}")
     fresh.unlink(missing_ok=True)
     with os.fdopen(os.open(fresh, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o600), "w", encoding="utf-8") as file:
@@ -89,7 +89,7 @@ def _write(path: Path, entry: dict[str, Any]) -> None:
 
 
 def _forget_oldest(folder: Path) -> None:
-    """Keep the number of notes bounded; another process may be doing the same."""
+    """Limit the number of records, tolerating concurrent processes."""
     dated = []
     for path in folder.iterdir():
         with suppress(FileNotFoundError):

@@ -1,4 +1,4 @@
-"""What to tell of an exception in a user's code: its type and text, and where in that code it was raised."""
+"""Describes exceptions from user code: type, text, and location in that code."""
 
 from __future__ import annotations
 
@@ -17,14 +17,7 @@ Result = TypeVar("Result")
 
 
 def call_user(who: str, what: str, function: Callable[..., Result], *arguments: Any, **keywords: Any) -> Result:
-    """Call a function of a user's.
-
-    Args:
-        who: whose function it is, such as "environment 'module:make'".
-        what: its name.
-        function: the function.
-        *arguments: of the function.
-        **keywords: of the function.
+    """Call a function ``what`` of a user's object ``who``, such as "environment 'module:make'".
 
     Raises:
         EnvError: if it raises.
@@ -39,9 +32,9 @@ def call_user(who: str, what: str, function: Callable[..., Result], *arguments: 
 
 
 def described(error: BaseException) -> str:
-    """Type and text of an exception, and below that the innermost calls in the user's code with their lines.
+    """Type and text of an exception, then the innermost calls in user code with their lines.
 
-    If none of the calls is the user's, the innermost ones of all are told.
+    If no call is in user code, the innermost calls overall are shown.
     """
     if isinstance(error, SyntaxError):
         where = _line(error.filename or "?", error.lineno or 0, "", (error.text or "").strip())
@@ -50,7 +43,7 @@ def described(error: BaseException) -> str:
 
 
 def calls(error: BaseException) -> str:
-    """The innermost calls in the user's code, two lines each, outermost first; "" if there is none."""
+    """The innermost calls in user code, two lines each, outermost first; "" if there are none."""
     found = [frame for frame in traceback.extract_tb(error.__traceback__) if not _is_in(frame.filename, _own_folders())]
     written = [frame for frame in found if not _is_in(frame.filename, _library_folders())]
     return _shown((written or found)[-MOST_FRAMES:])
@@ -71,7 +64,7 @@ def _is_in(file: str, folders: list[str]) -> bool:
 
 
 def _own_folders() -> list[str]:
-    """Folders of this project's packages, and of gymnasium, whose wrappers stand between them and the user's code."""
+    """Folders of our packages and of gymnasium."""
     specs = [find_spec(name) for name in OWN]
     return [f"{Path(spec.origin).parent}/" for spec in specs if spec is not None and spec.origin is not None]
 

@@ -1,1 +1,1 @@
-"""What is learned where: decomposition, rewards, the high level and start states."""
+"""The method: task decomposition, rewards, the high level and start states."""

@@ -1,4 +1,4 @@
-"""A task made ready for training: automaton, sub-tasks, distances and potentials from its settings."""
+"""Compiles a task for training: automaton, sub-tasks, distances and potentials."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ Translator = Literal["auto", "mona", "python"]
 
 @dataclass(frozen=True)
 class CompiledTask:
-    """What the coordinator hands to every worker.
+    """A compiled task, sent by the coordinator to every worker.
 
     Attributes:
         dist: distance of every DFA state to acceptance, infinite in E.
@@ -43,13 +43,13 @@ class CompiledTask:
         return self.dfa.accepting | self.dfa.error
 
     def method(self) -> Method:
-        """The rules of ``learner.method`` for this task; its upper level knows nothing yet."""
+        """The rules of ``learner.method`` for this task, with an untrained high level."""
         module = method_module(self.config.learner.method)
         return module.build(self.config, self.dfa, self.decomposition, self.rho)
 
 
 def decomposed(task: TaskConfig, dfa: DFA, *, seed: int = 0, deadline: Deadline | None = None) -> Decomposition:
-    """The sub-tasks of a task's automaton, as ``learner.method`` decomposes it.
+    """Decompose a task's automaton as ``learner.method`` does.
 
     Raises:
         ConfigError: see ``MethodModule.decompose``.
@@ -58,11 +58,11 @@ def decomposed(task: TaskConfig, dfa: DFA, *, seed: int = 0, deadline: Deadline 
 
 
 def compile_task(config: TaskConfig, *, translator: Translator = "auto", seed: int = 0) -> CompiledTask:
-    """Translate the formula, decide how it accepts, and decompose its automaton.
+    """Translate the formula, determine its acceptance, and decompose its automaton.
 
     Raises:
-        FormulaError, TranslationError: if the formula or the translator fails.
-        ConfigError: if nothing is left to learn, or compiling takes longer than ``decomposition.time_limit``.
+        FormulaError, TranslationError: if the formula is invalid or the translator fails.
+        ConfigError: if there is nothing to learn, or compilation exceeds ``decomposition.time_limit``.
     """
     deadline = Deadline.after(config.decomposition.time_limit)
     formula = translate(config.formula, propositions=config.propositions, translator=translator, deadline=deadline)

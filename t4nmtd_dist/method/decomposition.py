@@ -1,4 +1,4 @@
-"""Task decomposition: the transitions of a DFA dealt to sub-tasks, one per literal."""
+"""Task decomposition: assigns the DFA's transitions to sub-tasks, one per literal."""
 
 from __future__ import annotations
 
@@ -33,11 +33,11 @@ TICK = "tick"
 
 @dataclass(frozen=True)
 class Decomposition:
-    """Sub-tasks of a task: each a set of transitions that count as reaching its goal.
+    """The sub-tasks of a task, each a set of transitions that reach its goal.
 
     Attributes:
-        subtasks: pid -> its transitions (q, q'), sorted; pids in sorted order; none is empty.
-        left_out: pids that were dropped because they never bring acceptance nearer; for human readers.
+        subtasks: pid -> its transitions (q, q'), never empty; pids and transitions are sorted.
+        left_out: pids dropped because they never reduce the distance to acceptance; for display.
     """
 
     subtasks: Mapping[str, tuple[Transition, ...]]
@@ -60,30 +60,30 @@ class Decomposition:
 
     @property
     def pids(self) -> tuple[str, ...]:
-        """The names of all sub-tasks, sorted."""
+        """Names of all sub-tasks, sorted."""
         return tuple(self.subtasks)
 
     @property
     def transitions(self) -> tuple[Transition, ...]:
-        """Every transition of any sub-task once, sorted."""
+        """The union of all sub-tasks' transitions, sorted."""
         return tuple(sorted({tau for taus in self.subtasks.values() for tau in taus}))
 
     def q_target(self, pid: str, q: int) -> frozenset[int]:
-        """Q_target(q, T) = {q' : some transition of T goes from q to q'}.
+        """Q_target(q, T) = {q' : T has a transition from q to q'}.
 
         Raises:
-            ConfigError: if there is no sub-task of that name.
+            ConfigError: if the sub-task does not exist.
         """
         if pid not in self.subtasks:
             raise ConfigError(f"unknown sub-task {pid!r}; expected one of {', '.join(self.pids)}")
         return self._targets.get((pid, q), frozenset())
 
     def available(self, q: int) -> tuple[str, ...]:
-        """The sub-tasks that have a transition out of q, sorted."""
+        """Sub-tasks with a transition out of q, sorted."""
         return self._available.get(q, ())
 
     def to_json(self) -> dict[str, Any]:
-        """A JSON-ready form that ``from_json`` reads back."""
+        """JSON-ready form for ``from_json``."""
         return {pid: [list(tau) for tau in taus] for pid, taus in self.subtasks.items()}
 
     @classmethod
@@ -110,33 +110,33 @@ def decompose(
     seed: int = 0,
     deadline: Deadline | None = None,
 ) -> Decomposition:
-    """Deal the transitions of a task automaton to sub-tasks.
+    """Assign the transitions of a task automaton to sub-tasks.
 
-    Every mode starts from the same transitions: those of the automaton without the symbols that ``exclusive``
-    rules out, less self-loops, transitions out of F and transitions into E; ``prune`` leaves out those that
-    lie on no simple path from q0 to F, except those that make a formula true again whose trace ends with the
-    episode (``automata.acceptance.unfulfilled_states``). What differs is who gets them:
+    Every mode starts from the transitions taken by symbols that ``exclusive`` allows, without self-loops, transitions
+    out of F and transitions into E. ``prune`` drops those on no simple path from q0 to F, unless they make a formula
+    true again whose trace ends with the episode (``automata.acceptance.unfulfilled_states``). The modes assign them as
+    follows:
 
-    - ``objective``: the literals of the guard's prime implicants that do not hold already while waiting in q;
-      of each implicant the positive ones, or if it has none, the negative ones. ``keep="helpful"`` then leaves
-      out those that never bring acceptance nearer (only with ``prune``) and merges equal ones: ``a&b``.
-    - ``literal``: every literal of the label as :attr:`DFA.edges` writes it, the paper's wording at face value.
-    - ``random``: as many sub-tasks ``r1`` .. ``rn`` as ``objective`` finds, sizes even to within one; each
-      transition lies in as many of them as it does there.
+    - ``objective``: by the literals of the guard's prime implicants that do not hold while waiting in q; of each
+      implicant the positive ones, or else the negative ones. ``keep="helpful"`` then drops sub-tasks that never reduce
+      the distance to acceptance (only with ``prune``) and merges equal ones: ``a&b``.
+    - ``literal``: by every literal of the label as :attr:`DFA.edges` writes it, the paper's wording at face value.
+    - ``random``: to as many sub-tasks ``r1`` .. ``rn`` as ``objective`` finds, equally sized to within one; each
+      transition belongs to as many of them as there.
 
     Args:
-        dfa: the task automaton; sub-tasks speak of its states.
-        exclusive: groups of propositions that can never hold together.
+        dfa: the task automaton.
+        exclusive: groups of propositions that never hold together.
         mode: how labels become sub-tasks.
-        prune: leave out the transitions that no simple path to acceptance takes.
-        keep: ``all`` is the rule of the paper; a task's setting is ``helpful`` by default.
-        order: of the names in merged sub-tasks.
-        seed: of the random decomposition; the other modes do not use it.
-        deadline: of the compilation that this is part of.
+        prune: drop transitions on no simple path to acceptance.
+        keep: ``all`` is the paper's rule; tasks default to ``helpful``.
+        order: order of names in merged sub-tasks.
+        seed: for the random decomposition only.
+        deadline: of the compilation.
 
     Raises:
-        ConfigError: for an unknown mode or a proposition named ``tick``, if acceptance cannot be reached,
-            if the automaton is too large and tangled to prune, or if the deadline passes.
+        ConfigError: for an unknown mode, a proposition named ``tick``, unreachable acceptance, an automaton too complex
+            to prune, or a passed deadline.
     """
     _check_choices(dfa, mode, keep)
     reduced = _solvable(dfa, exclusive)
@@ -163,7 +163,7 @@ def _check_choices(dfa: DFA, mode: Mode, keep: Keep) -> None:
 
 
 def _solvable(dfa: DFA, exclusive: ExclusiveGroups) -> ReducedAutomaton:
-    """The automaton without excluded symbols, if acceptance is still reachable."""
+    """The automaton without excluded symbols; requires that acceptance is reachable."""
     reduced = reduce_automaton(dfa, exclusive)
     if not reduced.accepting:
         raise ConfigError(
@@ -178,7 +178,7 @@ def _decomposition(subtasks: Mapping[str, Sequence[Transition]], left_out: Seque
 
 
 def _goals(dfa: DFA, reduced: ReducedAutomaton, prune: bool, deadline: Deadline | None) -> list[Transition]:
-    """The transitions that sub-tasks may aim at, sorted."""
+    """Transitions that sub-tasks may aim at, sorted."""
     progress = reduced.progress
     if not prune:
         return list(progress)
@@ -190,7 +190,7 @@ def _goals(dfa: DFA, reduced: ReducedAutomaton, prune: bool, deadline: Deadline 
 def _dealt(
     goals: Sequence[Transition], dfa: DFA, allowed: TruthTable, *, literal: bool, deadline: Deadline | None
 ) -> dict[str, list[Transition]]:
-    """The transitions of every sub-task."""
+    """Transitions by sub-task."""
     dealt: dict[str, list[Transition]] = {}
     waiting = {q: _entailed(dfa.symbols(q, q) & allowed, dfa.propositions) for q in {q for q, _ in goals}}
     for tau in goals:
@@ -203,7 +203,7 @@ def _dealt(
 
 
 def _objectives(dfa: DFA, tau: Transition, allowed: TruthTable, waiting: frozenset[str]) -> set[str]:
-    """The pids of a transition: what its guard asks for beyond what holds while waiting in its source."""
+    """What the guard of a transition requires beyond what holds while waiting in its source."""
     label = prime_implicants(dfa.symbols(*tau) & allowed, ~allowed, dfa.propositions)
     return {pid for implicant in label for pid in _implicant_pids(implicant, waiting)}
 
@@ -217,7 +217,7 @@ def _implicant_pids(implicant: Cube, waiting: frozenset[str]) -> tuple[str, ...]
 
 
 def _entailed(symbols: TruthTable, propositions: tuple[str, ...]) -> frozenset[str]:
-    """The literals that hold in all the given symbols; none if there is no symbol."""
+    """Literals that hold in all given symbols, if any."""
     held = np.flatnonzero(symbols)
     if not held.size:
         return frozenset()
@@ -228,13 +228,13 @@ def _entailed(symbols: TruthTable, propositions: tuple[str, ...]) -> frozenset[s
 
 
 def _literal_pids(dfa: DFA, tau: Transition, allowed: TruthTable) -> set[str]:
-    """Every literal of the label as written, leaving out cubes that no allowed symbol satisfies."""
+    """Literals of the label as written, without unsatisfiable cubes."""
     cubes = [cube for cube in dfa.edges[tau] if _satisfiable(dfa, cube, allowed)]
     return {literal for cube in cubes for literal in cube or (TICK,)}
 
 
 def _satisfiable(dfa: DFA, cube: Cube, allowed: TruthTable) -> bool:
-    """Whether some allowed symbol makes every literal of a cube true."""
+    """Whether some allowed symbol satisfies a cube."""
     symbols = np.flatnonzero(allowed)
     for literal in cube:
         holds = (symbols & dfa.symbol([literal.removeprefix("~")])) > 0
@@ -243,13 +243,13 @@ def _satisfiable(dfa: DFA, cube: Cube, allowed: TruthTable) -> bool:
 
 
 def _shuffled(decomposition: Decomposition, seed: int) -> Decomposition:
-    """The same transitions, each as often as before, dealt at random to as many sub-tasks."""
+    """Redistribute the transitions at random, with the same multiplicities."""
     shares = Counter(tau for taus in decomposition.subtasks.values() for tau in taus)
     rng = np.random.default_rng(seed)
     order = rng.permutation(len(shares))
     deck = [tau for _, tau in sorted(zip(order, sorted(shares), strict=True)) for _ in range(shares[tau])]
     count = len(decomposition.pids)
-    # Copies of a transition are neighbours in the deck and fewer than the sub-tasks, so no one gets two.
+    # Copies of a transition are adjacent in the deck and at most as many as the sub-tasks, so none gets two.
     return Decomposition({f"r{k + 1}": tuple(deck[k::count]) for k in range(count)})
 
 

@@ -1,4 +1,4 @@
-"""Which sub-tasks deserve a learner: those that bring acceptance nearer, one for each set of transitions.
+"""Selects the sub-tasks worth a learner: useful ones, one per set of transitions.
 
 Both rules are ours (docs/decisions/019); with ``keep = "all"`` neither applies, as in the paper.
 """
@@ -22,15 +22,14 @@ SubTasks = Mapping[str, Sequence[Transition]]
 def without_useless(
     subtasks: SubTasks, dfa: DFA, accepting: Collection[int], allowed: TruthTable, deadline: Deadline | None = None
 ) -> dict[str, Sequence[Transition]]:
-    """Leave out the sub-tasks whose literal never brings acceptance nearer.
+    """Drop sub-tasks whose literal never reduces the distance to acceptance.
 
-    Distances count the transitions of ``subtasks`` alone. A literal helps with a transition (q, q') if q' is nearer
-    to acceptance than q, and some symbol that takes the transition would lead less near without the literal. A
-    sub-task that helps with no transition goes, unless some state would then be left without a transition that
-    brings acceptance nearer.
+    Distances count only the transitions of ``subtasks``. A literal helps with a transition (q, q') if q' is nearer to
+    acceptance than q and, without the literal, some symbol of the transition would lead farther away than q'. A
+    sub-task that helps with no transition is dropped, unless a state would lose its last transition towards acceptance.
 
     Args:
-        subtasks: pid -> its transitions, dealt by objectives.
+        subtasks: pid -> its transitions, assigned by objectives.
         dfa: the task automaton.
         accepting: the reachable part of F.
         allowed: symbols that can occur, shape (2**|AP|,).
@@ -50,7 +49,7 @@ def without_useless(
 
 
 def merged(subtasks: SubTasks, order: Sequence[str] = ()) -> dict[str, Sequence[Transition]]:
-    """Sub-tasks with equal transitions as one, named ``a&b`` in the given order, names that it lacks at the end."""
+    """Merge sub-tasks with equal transitions into ``a&b``, names ordered by ``order``, others last."""
     places = {name: place for place, name in enumerate(order)}
     names: dict[frozenset[Transition], list[str]] = {}
     ordered = sorted(subtasks, key=lambda pid: (places.get(pid.removeprefix("~"), len(places)), pid))
@@ -67,7 +66,7 @@ def _helps(
     allowed: TruthTable,
     deadline: Deadline | None,
 ) -> bool:
-    """Whether a literal (or ``tick``, which has none) helps with at least one of its transitions."""
+    """Whether a literal (or ``tick``) helps with one of its transitions."""
     bit = dfa.symbol([pid.removeprefix("~")])
     symbols = np.arange(allowed.size)
     usable = allowed & allowed[symbols ^ bit] & (((symbols & bit) > 0) != pid.startswith("~"))
@@ -82,5 +81,5 @@ def _helps(
 
 
 def _advancing(subtasks: SubTasks, dist: np.ndarray[tuple[int], np.dtype[np.float64]]) -> set[int]:
-    """The states from which some sub-task brings acceptance nearer."""
+    """States from which some sub-task reduces the distance to acceptance."""
     return {q for taus in subtasks.values() for q, target in taus if dist[target] < dist[q]}

@@ -1,4 +1,4 @@
-"""The high level: a table Q(q, sub-task) and the choice E(Q, q) (paper, Algorithm 1 and section "High level")."""
+"""High level: a table Q(q, sub-task) and the choice E(Q, q) (paper, Algorithm 1 and section "High level")."""
 
 from __future__ import annotations
 
@@ -13,13 +13,13 @@ QEntries = list[tuple[int, str, float]]
 
 
 class QTable:
-    """Q(q, T) for every DFA state q and sub-task T that is available there; unknown entries are -inf.
+    """Q(q, T) for every DFA state q and sub-task T available there; unknown entries are -inf.
 
     Args:
         decomposition: which sub-tasks are available in which state.
-        terminal: states whose value is 0 (F and E).
+        terminal: states of value 0 (F and E).
         alpha: step size.
-        gamma: discount of one decision, or of one environment step if ``smdp_discount``.
+        gamma: discount per decision, or per environment step with ``smdp_discount``.
         epsilon: share of uniform choices in ``choose``.
     """
 
@@ -40,11 +40,11 @@ class QTable:
         self._values: dict[tuple[int, str], float] = {}
 
     def value(self, q: int, pid: str) -> float:
-        """Q(q, pid), -inf while unknown."""
+        """Q(q, pid), -inf if unknown."""
         return self._values.get((q, pid), -math.inf)
 
     def best(self, q: int) -> float:
-        """Max over sub-tasks of Q(q, .); 0 in F, in E, and where nothing is known."""
+        """Max over sub-tasks of Q(q, .); 0 in F and E and if all are unknown."""
         if q in self._terminal:
             return 0.0
         known = [self.value(q, pid) for pid in self._decomposition.available(q)]
@@ -52,12 +52,12 @@ class QTable:
         return best if best > -math.inf else 0.0
 
     def update(self, q: int, pid: str, reward: float, q_next: int, steps: int = 1) -> None:
-        """Learn from a DFA change q -> q_next seen by learner ``pid`` with shaped reward ``reward``."""
+        """Learn from learner ``pid``'s DFA change q -> q_next with shaped reward ``reward``."""
         discount = self._gamma**steps if self._smdp_discount else self._gamma
         self._move(q, pid, reward + discount * self.best(q_next))
 
     def fail(self, q: int, pid: str) -> None:
-        """Learn from an attempt that ended without a target: a step toward 0."""
+        """Learn from an attempt that reached no target: a step towards 0."""
         self._move(q, pid, 0.0)
 
     def _move(self, q: int, pid: str, target: float) -> None:
@@ -65,10 +65,7 @@ class QTable:
         self._values[q, pid] = target if old is None else old + self._alpha * (target - old)
 
     def choose(self, q: int, rng: np.random.Generator, among: Collection[str] | None = None) -> str | None:
-        """E(Q, q): epsilon-greedy over the sub-tasks available in q, ties at random; None if there is none.
-
-        Only sub-tasks of ``among`` count, if it is given.
-        """
+        """E(Q, q): epsilon-greedy over the sub-tasks available in q (and in ``among``), random ties; None if none."""
         available = self._available(q, among)
         if not available:
             return None
@@ -79,7 +76,7 @@ class QTable:
         return ties[int(rng.integers(len(ties)))]
 
     def greedy(self, q: int, among: Collection[str] | None = None) -> str | None:
-        """Arg max Q(q, .) with ties by name, for evaluation; None where no sub-task (of ``among``) is available."""
+        """Arg max Q(q, .), ties by name, for evaluation; None if no sub-task (of ``among``) is available."""
         return max(self._available(q, among), key=lambda pid: self.value(q, pid), default=None)
 
     def _available(self, q: int, among: Collection[str] | None) -> Sequence[str]:
@@ -87,7 +84,7 @@ class QTable:
         return available if among is None else [pid for pid in available if pid in among]
 
     def entries(self) -> QEntries:
-        """Every known entry as (q, pid, value), sorted."""
+        """Known entries as (q, pid, value), sorted."""
         return [(q, pid, value) for (q, pid), value in sorted(self._values.items())]
 
     def load(self, entries: Iterable[tuple[int, str, float]]) -> None:

@@ -1,4 +1,4 @@
-"""Distances to acceptance and the potential rho of a DFA state, from which rewards are shaped."""
+"""Distances to acceptance, and the potential rho of DFA states for reward shaping."""
 
 from __future__ import annotations
 
@@ -32,22 +32,20 @@ def distances(
 ) -> dict[int, float]:
     """dist(q) of every state: the number of transitions from q to acceptance.
 
-    Self-loops and symbols that ``exclusive`` rules out do not count. Where the trace ends with the episode, a step that
-    makes the formula true and is the last as well counts as two: those are two things to wait for.
+    Ignores self-loops and symbols excluded by ``exclusive``. If the trace ends with the episode, a final step that
+    makes the formula true counts as two.
 
     Args:
         dfa: the task automaton.
-        exclusive: groups of propositions that can never hold together.
+        exclusive: groups of propositions that never hold together.
         mode: ``shortest`` path, or the ``mean`` over all simple paths (the paper's average distance).
-        deadline: of the compilation that this is part of.
+        deadline: of the compilation.
 
     Returns:
-        state -> distance, 0 on F. Infinite on E, and on states that only excluded symbols reach: they do not
-        exist for the task, and should one turn up it is as good as an error.
+        state -> distance: 0 on F; infinite on E and on states that only excluded symbols reach.
 
     Raises:
-        ConfigError: for an unknown mode, or if ``mean`` meets more than 100,000 simple paths in all,
-            or the deadline passes.
+        ConfigError: for an unknown mode, over 100,000 simple paths with ``mean``, or a passed deadline.
     """
     if mode not in get_args(DistanceMode):
         raise ConfigError(f"unknown dist {mode!r}; expected one of {', '.join(get_args(DistanceMode))}")
@@ -61,16 +59,11 @@ def distances(
 
 
 def potentials(dfa: DFA, dist: Mapping[int, float], constant: float = 100.0) -> NDArray[np.float64]:
-    """The potential rho(q) = C / (dist(q) + 1), which is C on F.
-
-    Args:
-        dfa: the task automaton.
-        dist: from ``distances``.
-        constant: C.
+    """The potential rho(q) = C / (dist(q) + 1), which is C on F; ``dist`` is from ``distances``.
 
     Returns:
-        float64 array of shape (states,). States at infinite distance (E, and what excluded symbols alone
-        reach) have C / (D_max + 1), D_max being the largest finite distance.
+        float64 array of shape (states,). States at infinite distance have C / (D_max + 1), D_max being the largest
+        finite distance.
     """
     exact = np.array([dist[q] for q in range(dfa.states)], dtype=np.float64)
     farthest = max((d for d in exact if math.isfinite(d)), default=0.0)
@@ -79,7 +72,7 @@ def potentials(dfa: DFA, dist: Mapping[int, float], constant: float = 100.0) -> 
 
 
 def _means(reduced: ReducedAutomaton, deadline: Deadline | None) -> dict[int, float]:
-    """Mean length of the simple paths from every state to F."""
+    """Mean length of the simple paths from each state to F."""
     left = PATH_LIMIT
     means: dict[int, float] = {}
     for q in sorted(reduced.states - reduced.error):

@@ -1,7 +1,7 @@
-"""What a method is: which policies a task is solved by, where they start and end, and whose value they bootstrap from.
+"""The method protocol: a task's policies, their starts, ends and bootstrap values.
 
-A method is one module, listed in ``t4nmtd_dist.core.registry.METHODS`` and chosen by ``learner.method``. The module has
-the functions of ``MethodModule``.
+A method is a module with the functions of ``MethodModule``, listed in ``t4nmtd_dist.core.registry.METHODS`` and
+selected by ``learner.method``.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ Mask = NDArray[np.bool_]
 
 
 class Ending(IntEnum):
-    """What a role does after a step: act on, leave the row to whom ``choose`` names, or begin a new attempt."""
+    """What a role does after a step: continue, leave the choice to ``choose``, or restart."""
 
     KEEP = 0
     CHOOSE = 1
@@ -39,13 +39,13 @@ class Ending(IntEnum):
 
 
 class Change(NamedTuple):
-    """A change of the DFA state that a role saw, or the end of its attempt without one.
+    """A DFA change seen by a role, or the end of its attempt without one.
 
     Attributes:
-        q: the DFA state before.
-        q_next: the DFA state after; ``NO_TARGET`` if the attempt failed.
+        q: DFA state before.
+        q_next: DFA state after; ``NO_TARGET`` if the attempt failed.
         steps: steps since q was entered.
-        reward: shaped reward of the last of them, unscaled; 0 if the attempt failed.
+        reward: shaped reward of the last step, unscaled; 0 if the attempt failed.
     """
 
     q: int
@@ -56,11 +56,11 @@ class Change(NamedTuple):
 
 @dataclass(frozen=True)
 class Reading:
-    """Which replay rows a role learns from.
+    """The replay rows that a role learns from.
 
     Attributes:
         q: DFA states in which rows may be read, whatever state they were recorded in, int32 [k].
-        rows: its ``own``, or those of ``all`` roles. The agent's settings say in which shares.
+        rows: its ``own``, or those of ``all`` roles, in the shares of the agent's settings.
     """
 
     q: States
@@ -70,7 +70,7 @@ class Reading:
 class Method(Protocol):
     """The rules of one method for one compiled task.
 
-    Coordinator, learners and evaluator hold an object each, and each runs its part of the loop it is meant for::
+    Coordinator, learners and evaluator each run their part of this loop on their own object::
 
         starts = method.starts(role, buffer, n, rng)                    # learner: act
         while True:
@@ -89,44 +89,44 @@ class Method(Protocol):
 
         roles = method.choose(q)                                        # evaluator: who acts
 
-    Roles are named as in the task's ``Decomposition``, so that a role's targets are its transitions there.
+    Roles are named as in the task's ``Decomposition``; their targets are their transitions there.
     """
 
     def role(self, name: str) -> Role:
         """One role with its tables.
 
         Raises:
-            ConfigError: if there is none of that name.
+            ConfigError: if the role does not exist.
         """
 
     def starts(
         self, role: str, buffer: InitialStateBuffer, count: int, rng: np.random.Generator
     ) -> Sequence[StartState]:
-        """Where ``count`` attempts of a role begin: at the environment's reset or in stored states.
+        """Draw the starts of ``count`` attempts: the environment's reset or stored states.
 
         Returns:
-            The starts; empty while there is nowhere to begin.
+            The starts; empty if there are none yet.
         """
 
     def ends(self, role: str, q: States, q_next: States, steps: States) -> NDArray[np.int8]:
         """``Ending`` values int8 [N] after a step from q to q' [N], the ``steps``-th of the attempt.
 
-        F, E and an environment that ends start a new attempt whatever this says.
+        F, E and environment termination always start a new attempt.
         """
 
     def hands_over(self, role: str, q: States, q_next: States) -> Mask:
-        """Bool [N]: which steps lead to a state that the coordinator is to store as a start; terminals never are."""
+        """Which steps reach a state to store as a start, bool [N]; terminals are never stored."""
 
     def receivers(self, role: str, q: int, rng: np.random.Generator) -> Collection[str]:
-        """The roles whose buffers take a state <s, q> that ``role`` handed over."""
+        """Roles whose buffers store a state <s, q> handed over by ``role``."""
 
     def reads(self, role: str) -> Reading:
-        """Which replay rows a role learns from."""
+        """The replay rows that a role learns from."""
 
     def successors(self, role: str, q_next: States, rng: np.random.Generator) -> list[str | None]:
-        """Whose value ``role`` bootstraps from after a change to each of q' [N], outside F and E.
+        """Whose value ``role`` bootstraps from after a change to each q' [N] outside F and E.
 
-        Its own name stands for its own critic, None for the value 0.
+        Its own name means its own critic; None means the value 0.
         """
 
     def choose(
@@ -141,8 +141,8 @@ class Method(Protocol):
 
         Args:
             q: DFA states [N].
-            rng: draws exploring choices; without it the choice is greedy.
-            observations: float32 [N, d], where they are known.
+            rng: for exploration; without it, the choice is greedy.
+            observations: float32 [N, d], if known.
             among: roles to choose from; None for all.
 
         Returns:
@@ -150,42 +150,36 @@ class Method(Protocol):
         """
 
     def told(self, role: str, changes: Iterable[Change]) -> None:
-        """Learn the upper level from what a role reports, in order."""
+        """Train the high level on a role's reported changes, in order."""
 
     def schedule(self) -> Collection[str] | None:
-        """The roles that act and learn now; None for all."""
+        """Roles that act and learn now; None for all."""
 
     def entries(self) -> QEntries:
-        """What the upper level has learned as (q, role, value), for messages, checkpoints and exported policies."""
+        """The learned high level as (q, role, value), for messages, checkpoints and exports."""
 
     def load(self, entries: Iterable[tuple[int, str, float]]) -> None:
-        """Replace what the upper level has learned by the ``entries`` of another object."""
+        """Replace the learned high level with ``entries`` of another object."""
 
 
 class MethodModule(Protocol):
-    """What a module in ``METHODS`` offers."""
+    """Functions of a module in ``METHODS``."""
 
     def decompose(self, config: TaskConfig, dfa: DFA, *, seed: int, deadline: Deadline | None) -> Decomposition:
         """The roles and their transitions.
 
-        Args:
-            config: settings of the task.
-            dfa: its automaton.
-            seed: the run's.
-            deadline: of the compilation.
-
         Raises:
-            ConfigError: if nothing is left to learn, or the deadline passes.
+            ConfigError: if there is nothing to learn, or the deadline has passed.
         """
 
     def build(self, config: TaskConfig, dfa: DFA, decomposition: Decomposition, rho: NDArray[np.float64]) -> Method:
-        """The rules for a task decomposed so; ``rho`` are the potentials of its DFA states, float64 [Q]."""
+        """The rules for a decomposed task; ``rho`` are its potentials, float64 [Q]."""
 
 
 def method_module(name: str) -> MethodModule:
-    """Import the module of a method.
+    """Import a method's module.
 
     Raises:
-        ConfigError: if there is none of that name; lists those there are.
+        ConfigError: if it does not exist; lists the known methods.
     """
     return cast(MethodModule, METHODS.module(name))

@@ -1,4 +1,4 @@
-"""T4NMTD with the same transitions dealt to as many sub-tasks at random, from the run's seed (paper, experiment 2)."""
+"""T4NMTD with its transitions assigned to sub-tasks at random, from the run's seed (paper, experiment 2)."""
 
 from __future__ import annotations
 
@@ -15,10 +15,10 @@ build = t4nmtd.build
 
 
 def decompose(config: TaskConfig, dfa: DFA, *, seed: int, deadline: Deadline | None) -> Decomposition:
-    """As many sub-tasks ``r1`` .. ``rn`` as ``t4nmtd`` would have; see ``method.decomposition.decompose``.
+    """As many sub-tasks ``r1`` .. ``rn`` as ``t4nmtd`` has; see ``method.decomposition.decompose``.
 
     Raises:
-        ConfigError: if ``decomposition.mode`` is ``literal``, which this method would not follow.
+        ConfigError: if ``decomposition.mode`` is ``literal``, which this method does not support.
     """
     settings = config.decomposition
     if settings.mode == "literal":

@@ -1,6 +1,6 @@
-"""The product of environment and DFA: what a change of DFA state means for one sub-task.
+"""The product of environment and DFA: targets and rewards of a sub-task.
 
-Everything here depends on (q, q') alone, so it is tabulated once and looked up for whole batches.
+Everything depends on (q, q') only, so it is tabulated once and looked up for whole batches.
 """
 
 from __future__ import annotations
@@ -22,17 +22,17 @@ States = NDArray[np.int32]
 
 
 class SymbolReader:
-    """Turns an environment's label matrix into symbols of the DFA.
+    """Converts the environment's label matrix to DFA symbols.
 
     Args:
-        dfa: whose propositions count.
+        dfa: defines the symbols.
         propositions: the environment's propositions, the columns of its label matrix.
 
     Attributes:
         delta: the DFA's transition table, int32 [Q, symbols].
 
     Raises:
-        EnvError: if the environment never reports a proposition of the formula.
+        EnvError: if the environment does not report a proposition of the formula.
     """
 
     def __init__(self, dfa: DFA, propositions: tuple[str, ...]) -> None:
@@ -53,16 +53,16 @@ class SymbolReader:
 
 @dataclass(frozen=True)
 class SubtaskTables:
-    """All that a learner of sub-task ``pid`` must know about DFA states and their changes.
+    """DFA tables for the learner of one sub-task.
 
     Attributes:
         target: bool [Q, Q]; q' in Q_target(q, T).
         available: bool [Q]; the sub-task has a transition out of q.
         accepting: bool [Q], F.
         error: bool [Q], E.
-        reward: float64 [Q, Q], the shaped reward of a step from q to q' (equal states included).
-        carried_potential: float64 [Q], what the reward of a step into q' holds of the potential of q'. A step on which
-            the environment ends has no later step to pay it back, so there it is taken off.
+        reward: float64 [Q, Q], shaped reward of a step from q to q', self-loops included.
+        carried_potential: float64 [Q], the part of the reward from the potential of q'. It is subtracted at environment
+            termination, since no later step pays it back.
     """
 
     target: NDArray[np.bool_]
@@ -74,7 +74,7 @@ class SubtaskTables:
 
     @property
     def terminal(self) -> NDArray[np.bool_]:
-        """Bool [Q]: F or E, where the critic's value is 0."""
+        """F or E, where the critic's value is 0, bool [Q]."""
         return self.accepting | self.error
 
     def transition_rewards(self, q: States, q_next: States, terminated: NDArray[np.bool_]) -> NDArray[np.float64]:
@@ -83,7 +83,7 @@ class SubtaskTables:
         Args:
             q: DFA states [N].
             q_next: DFA states after the step [N].
-            terminated: whether the environment itself ended on the step [N].
+            terminated: whether the environment terminated on the step [N].
 
         Returns:
             float64 [N].
@@ -92,7 +92,7 @@ class SubtaskTables:
         return rewards - np.where(terminated, self.carried_potential[q_next], 0.0)
 
     def terminals(self, q_next: States, terminated: NDArray[np.bool_]) -> NDArray[np.bool_]:
-        """Bool [N]: steps into F or E, or on which the environment ended: the value of what follows is 0."""
+        """Steps into F or E, or on which the environment terminated, bool [N]: the value of s' is 0."""
         return self.terminal[q_next] | terminated
 
 
@@ -134,10 +134,10 @@ def shaped_reward(
     gamma: float,
     shaping: Shaping,
 ) -> NDArray[np.float64]:
-    """The reward of every pair (q, q'), float64 [Q, Q], before the learner's reward scale.
+    """Rewards of all pairs (q, q'), float64 [Q, Q], before reward scaling.
 
-    ``paper``: r + gamma rho(q') - rho(q) for q' in Q_target(q), else 0. ``potential``: that difference on every
-    step, with rho = 0 on F and E, plus r. ``subtask``: 10 for a target, 100 if it accepts.
+    ``paper``: r + gamma rho(q') - rho(q) for q' in Q_target(q), else 0. ``potential``: that difference on every step,
+    with rho = 0 on F and E, plus r. ``subtask``: 10 for a target, 100 if it accepts.
     """
     accepts = np.broadcast_to(accepting[None, :], target.shape)
     environment_reward = np.where(accepts & ~np.eye(len(rho), dtype=np.bool_), ACCEPTANCE_REWARD, 0.0)

@@ -1,4 +1,4 @@
-"""Roles: the policies that a method consists of, each with its targets, rewards and starts tabulated."""
+"""Roles: a method's policies, each with its tabulated targets, rewards and starts."""
 
 from __future__ import annotations
 
@@ -15,14 +15,14 @@ from t4nmtd_dist.method.rewards import ACCEPTANCE_REWARD, SubtaskTables, subtask
 
 @dataclass(frozen=True)
 class Role:
-    """One policy of a method; a sub-task in T4NMTD, a DFA state or an edge in others.
+    """One policy of a method: a sub-task in T4NMTD, a DFA state or an edge in others.
 
     Attributes:
-        name: its name in the decomposition, which leases, files and messages carry.
-        tables: its targets, and what every change of the DFA state pays.
-        reset_q: the initial DFA state if the role is available there, so that the environment's own reset can start
-            an attempt; else None.
-        attempt_steps: steps after which an attempt is cut; a truncation, not a terminal.
+        name: its name in the decomposition, leases, files and messages.
+        tables: its targets and rewards.
+        reset_q: the initial DFA state if the role is available there, so that attempts can start at the environment's
+            reset; else None.
+        attempt_steps: maximum length of an attempt; a truncation, not a terminal.
     """
 
     name: str
@@ -31,20 +31,15 @@ class Role:
     attempt_steps: int
 
     def stranded(self, q: NDArray[np.int32], q_next: NDArray[np.int32]) -> NDArray[np.bool_]:
-        """Bool [N]: the DFA moved to a state in which the role has no transition."""
+        """Steps on which the DFA moved to a state without a transition of the role, bool [N]."""
         found: NDArray[np.bool_] = (q_next != q) & ~self.tables.available[q_next]
         return found
 
 
 def role_of(config: TaskConfig, dfa: DFA, decomposition: Decomposition, rho: NDArray[np.float64], name: str) -> Role:
-    """Tabulate one role of a decomposition under the task's settings: its shaping, penalty and limits.
+    """Tabulate one role of a decomposition with the task's shaping, penalty and limits.
 
-    Args:
-        config: settings of the task, its ``acceptance`` decided.
-        dfa: the task automaton.
-        decomposition: the transitions of every role.
-        rho: potential of every DFA state, float64 [Q].
-        name: of the role.
+    ``config.acceptance`` must be resolved; ``rho`` is the potential of every DFA state, float64 [Q].
     """
     settings = config.learner
     tables = subtask_tables(
@@ -61,13 +56,13 @@ def role_of(config: TaskConfig, dfa: DFA, decomposition: Decomposition, rho: NDA
 
 
 def _error_penalty(config: TaskConfig) -> float:
-    """Where success comes at the end of the episode only, a late error must be better than an early one."""
+    """With success only at the episode's end, a late error must be better than an early one."""
     least = ACCEPTANCE_REWARD if config.acceptance == "end" else 0.0
     return max(config.learner.error_penalty, least)
 
 
 def _attempt_steps(config: TaskConfig, tables: SubtaskTables) -> int:
-    """An attempt at what is only reached at the end of an episode must be able to last until then."""
+    """Attempts at goals reached only at the episode's end must last until then."""
     steps = config.learner.attempt_steps
     waits_for_end = config.acceptance == "end" and not tables.target[:, ~tables.accepting].any()
     return max(steps, config.environment.horizon) if waits_for_end else steps

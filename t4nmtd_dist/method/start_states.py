@@ -1,4 +1,4 @@
-"""Initial-state buffers B_iota: where a sub-task's attempts begin (paper, Algorithm 2, lines 1 and 4)."""
+"""Initial-state buffers B_iota: the starts of a sub-task's attempts (paper, Algorithm 2, lines 1 and 4)."""
 
 from __future__ import annotations
 
@@ -17,19 +17,19 @@ CAPACITY = 200
 
 @dataclass(frozen=True)
 class StartState:
-    """A product state <s, q> in which an attempt can begin; ``state`` None is the environment's own reset."""
+    """A product state <s, q> to begin an attempt in; ``state`` None means the environment's reset."""
 
     q: int
     state: State | None
 
 
 class InitialStateBuffer:
-    """The start states of one sub-task: a bounded FIFO per DFA state, without repeats.
+    """Start states of one sub-task: a bounded FIFO per DFA state, without duplicates.
 
-    Every entry carries a cursor, a number that only grows, so that a copy elsewhere can ask for what is new.
+    Every entry has an increasing cursor, so that a remote copy can request new entries only.
 
     Args:
-        capacity: most entries kept per DFA state; the oldest go first.
+        capacity: maximum number of entries per DFA state; the oldest are dropped first.
     """
 
     def __init__(self, capacity: int = CAPACITY) -> None:
@@ -41,7 +41,7 @@ class InitialStateBuffer:
         return sum(len(entries) for entries in self._entries.values())
 
     def add(self, q: int, state: State) -> bool:
-        """Store <state, q>; False if the very same state is already there."""
+        """Store <state, q>; False if it is a duplicate."""
         entries = self._entries.setdefault(q, OrderedDict())
         key = state.tobytes()
         if key in entries:
@@ -53,7 +53,7 @@ class InitialStateBuffer:
         return True
 
     def remove(self, q: int, state: State) -> None:
-        """Drop <state, q>, if it is there."""
+        """Remove <state, q>, if present."""
         self._entries.get(q, OrderedDict()).pop(state.tobytes(), None)
 
     def since(self, cursor: int, limit: int) -> list[tuple[int, int, State]]:
@@ -67,7 +67,7 @@ class InitialStateBuffer:
         return sorted(fresh, key=lambda entry: entry[0])[:limit]
 
     def states_present(self) -> list[int]:
-        """The DFA states that have at least one entry, sorted."""
+        """DFA states with at least one entry, sorted."""
         return sorted(q for q, entries in self._entries.items() if entries)
 
     def count(self, q: int) -> int:
@@ -75,13 +75,13 @@ class InitialStateBuffer:
         return len(self._entries.get(q, ()))
 
     def sample(self, q: int, rng: np.random.Generator) -> State:
-        """A uniform entry of DFA state ``q``."""
+        """Draw an entry of DFA state ``q`` uniformly."""
         entries = self._entries[q]
         index = int(rng.integers(len(entries)))
         return list(entries.values())[index][1]
 
     def state_dict(self) -> dict[str, Any]:
-        """All entries in their order, and the cursor, for a checkpoint."""
+        """All entries in order, and the cursor, for a checkpoint."""
         entries = self.since(0, self.cursor)
         return {
             "cursor": self.cursor,
@@ -91,7 +91,7 @@ class InitialStateBuffer:
         }
 
     def load_state_dict(self, state: Mapping[str, Any]) -> None:
-        """Replace everything by what a ``state`` holds."""
+        """Restore from ``state_dict``."""
         self._entries.clear()
         for number, q, entry in zip(state["cursors"].tolist(), state["q"].tolist(), state["states"], strict=True):
             self._entries.setdefault(q, OrderedDict())[entry.tobytes()] = (number, entry.copy())
@@ -101,17 +101,17 @@ class InitialStateBuffer:
 def sample_starts(
     buffer: InitialStateBuffer, reset_q: int | None, count: int, rng: np.random.Generator
 ) -> Sequence[StartState]:
-    """``count`` start states: uniform over the DFA states present, then uniform within.
+    """Draw ``count`` start states: uniform over the DFA states present, then uniform within.
 
     Args:
-        buffer: the sub-task's buffer.
-        reset_q: the initial DFA state if the sub-task is available there: the environment's own reset is then a
-            standing entry; else None.
-        count: how many.
-        rng: source of randomness.
+        buffer: of the sub-task.
+        reset_q: the initial DFA state if the sub-task is available there, else None; the environment's reset is then an
+            entry of it.
+        count: number of starts.
+        rng: random generator.
 
     Returns:
-        The starts; empty if there is nowhere to begin.
+        The starts; empty if there are none.
     """
     present = buffer.states_present()
     choices = sorted({*present, *(() if reset_q is None else (reset_q,))})

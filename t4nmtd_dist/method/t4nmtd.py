@@ -1,4 +1,4 @@
-"""T4NMTD: one sub-task for each literal, joined by a Q table (paper, Algorithm 1 and the choices of Algorithm 2)."""
+"""T4NMTD: one sub-task per literal, joined by a Q table (paper, Algorithm 1 and the choices of Algorithm 2)."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ def build(config: TaskConfig, dfa: DFA, decomposition: Decomposition, rho: NDArr
 
 
 class T4NMTD:
-    """Sub-tasks as roles; see ``Method`` for what each rule means.
+    """The rules of ``Method`` with sub-tasks as roles.
 
     Attributes:
         q_table: Q(q, T).
@@ -71,29 +71,29 @@ class T4NMTD:
         return sample_starts(buffer, self.role(role).reset_q, count, rng)
 
     def ends(self, role: str, q: States, q_next: States, steps: States) -> NDArray[np.int8]:
-        """An attempt ends at a target, where the sub-task has no transition, and when its steps are spent."""
+        """An attempt ends at a target, where the sub-task has no transition, and after ``attempt_steps``."""
         own = self.role(role)
         over = own.tables.target[q, q_next] | own.stranded(q, q_next) | (steps >= own.attempt_steps)
         return np.where(over, Ending.RESTART, Ending.KEEP).astype(np.int8)
 
     def hands_over(self, role: str, q: States, q_next: States) -> Mask:
-        """Targets are handed over, as in the paper, or all changes: ``learner.hand_over``."""
+        """Hands over targets, as in the paper, or all DFA changes: ``learner.hand_over``."""
         if self._config.learner.hand_over == "changes":
             return np.not_equal(q, q_next)
         reached: Mask = self.role(role).tables.target[q, q_next]
         return reached
 
     def receivers(self, role: str, q: int, rng: np.random.Generator) -> Collection[str]:
-        """T_iota' ~ E(Q, q) gets the state."""
+        """T_iota' ~ E(Q, q) stores the state."""
         chosen = self.q_table.choose(q, rng)
         return () if chosen is None else (chosen,)
 
     def reads(self, role: str) -> Reading:
-        """Own rows and peers', in every DFA state in which the sub-task has a transition (docs/decisions/016)."""
+        """Own and peers' rows, in every DFA state with a transition of the sub-task (docs/decisions/016)."""
         return Reading(np.flatnonzero(self.role(role).tables.available).astype(np.int32), "all")
 
     def successors(self, role: str, q_next: States, rng: np.random.Generator) -> list[str | None]:
-        """Policy intervention: the peer T_iota' ~ E(Q, q'); the own critic where no sub-task is available."""
+        """Policy intervention: the peer T_iota' ~ E(Q, q'); the own critic if no sub-task is available."""
         return [self.q_table.choose(q, rng) or role for q in q_next.tolist()]
 
     def choose(
@@ -104,13 +104,13 @@ class T4NMTD:
         observations: NDArray[np.float32] | None = None,
         among: Collection[str] | None = None,
     ) -> list[str | None]:
-        """E(Q, q), or arg max Q(q, .) without ``rng``; observations do not matter."""
+        """E(Q, q), or arg max Q(q, .) without ``rng``; ignores observations."""
         if rng is None:
             return [self.q_table.greedy(each, among) for each in q]
         return [self.q_table.choose(each, rng, among) for each in q]
 
     def told(self, role: str, changes: Iterable[Change]) -> None:
-        """Update Q(q, T) for every change, toward 0 for an attempt that failed (Algorithm 1)."""
+        """Update Q(q, T) for every change, towards 0 for a failed attempt (Algorithm 1)."""
         for q, q_next, steps, reward in changes:
             if q_next == NO_TARGET:
                 self.q_table.fail(q, role)
@@ -118,7 +118,7 @@ class T4NMTD:
                 self.q_table.update(q, role, reward, q_next, steps)
 
     def schedule(self) -> None:
-        """All sub-tasks are learned at once."""
+        """All sub-tasks learn in parallel."""
 
     def entries(self) -> QEntries:
         """Every known Q(q, T)."""

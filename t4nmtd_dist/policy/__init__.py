@@ -1,6 +1,6 @@
 """The global policy: loading, acting, evaluation, export and recording.
 
-``load`` and ``GlobalPolicy`` are imported at first use, so that ``policy.export`` can be used without torch.
+Imports ``load`` and ``GlobalPolicy`` lazily, so that ``policy.export`` works without torch.
 """
 
 from __future__ import annotations

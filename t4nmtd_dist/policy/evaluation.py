@@ -1,4 +1,4 @@
-"""Evaluation of the global policy: greedy or sampled episodes from the true reset, neither training nor selecting."""
+"""Evaluates the global policy in greedy or sampled episodes from the true reset."""
 
 from __future__ import annotations
 
@@ -31,9 +31,9 @@ class EvaluationResult:
     Attributes:
         success: bool [episodes], accepted within the horizon.
         lengths: int [episodes], steps until acceptance, error, the environment's end, or the horizon.
-        returns: float [episodes], validation reward: the sum of rho(q') - rho(q) over steps with q' outside E.
+        returns: float [episodes], validation return: sum of rho(q') - rho(q) over steps with q' outside E.
         dfa_path: DFA states of the first episode, in order.
-        redrawn: perturbed starts that ended the episode by themselves and were drawn again.
+        redrawn: perturbed starts redrawn because they ended the episode.
     """
 
     success: Flags
@@ -49,12 +49,12 @@ class EvaluationResult:
 
 
 class Evaluator:
-    """Runs episodes of a task's policies in environments that it keeps open.
+    """Evaluates a task's policies in environments that it keeps open.
 
     Args:
-        policy: any policy of the task (for its settings and automaton).
-        episodes: episodes per evaluation, all stepped together.
-        seed: of the environment's resets, of perturbations and of sampled actions.
+        policy: any policy of the task, for its settings and automaton.
+        episodes: episodes per evaluation, stepped together.
+        seed: for resets, perturbations and sampled actions.
     """
 
     def __init__(self, policy: GlobalPolicy, episodes: int, *, seed: int) -> None:
@@ -66,26 +66,25 @@ class Evaluator:
         self._seeded = False
 
     def run(self, policy: GlobalPolicy, *, perturb: int = 0, actions: ActionMode | None = None) -> EvaluationResult:
-        """One evaluation: every episode from the true reset with a fresh step counter.
+        """Run one evaluation: every episode starts from the true reset with a new step counter.
 
-        Where the trace ends with the episode (docs/acceptance.md), the random actions of ``perturb`` count as steps:
-        the start states carry their time, so that these episodes end that much earlier.
+        If the trace ends with the episode (docs/acceptance.md), the random actions of ``perturb`` count as steps.
 
         Args:
-            policy: what acts.
-            perturb: each episode begins with k random actions, k uniform in 0..perturb. Actions that end the episode
-                by themselves are drawn again, and k too, so that where chance is deadly k is smaller on the whole.
+            policy: the acting policy.
+            perturb: each episode begins with k random actions, k uniform in 0..perturb. If they end the episode, k and
+                the actions are redrawn, which favours smaller k.
             actions: ``greedy`` or ``sampled``; None for the policy's own mode.
 
         Raises:
-            PolicyError: if the policy learned from observations of another size than the environment's.
+            PolicyError: if the policy was trained on observations of another size.
         """
         return finished(self.steps(policy, perturb=perturb, actions=actions))
 
     def steps(
         self, policy: GlobalPolicy, *, perturb: int = 0, actions: ActionMode | None = None
     ) -> Generator[None, None, EvaluationResult]:
-        """``run`` step by step, for a caller that has other things to do in between; returns the result."""
+        """``run`` as a generator that yields once per step, for interleaving with other work."""
         rows = np.arange(self._env.count)
         if perturb:
             observations, q, redrawn = self._perturbed_starts(policy, perturb)
@@ -95,13 +94,13 @@ class Evaluator:
         return (yield from self._episodes(policy, observations, q, redrawn, sampling))
 
     def state_dict(self) -> State:
-        """What decides the starts and the sampled actions of the next evaluations, for a checkpoint."""
+        """State of the starts and sampled actions of the next evaluations, for a checkpoint."""
         env = self._env.state_dict() if self._seeded else None
         generators = {"rng": self._rng.bit_generator.state, "sampling": self._sampling.bit_generator.state}
         return {**generators, "seeded": self._seeded, "env": env}
 
     def load_state_dict(self, state: State) -> None:
-        """Go on from a ``state`` of an evaluator of the same task with as many episodes."""
+        """Restore from the ``state_dict`` of an evaluator with the same task and ``episodes``."""
         self._rng.bit_generator.state, self._seeded = state["rng"], state["seeded"]
         if "sampling" in state:  # older checkpoints have none
             self._sampling.bit_generator.state = state["sampling"]
@@ -145,7 +144,7 @@ class Evaluator:
         return EvaluationResult(success, lengths, returns, path, redrawn)
 
     def _perturbed_starts(self, policy: GlobalPolicy, most: int) -> tuple[Observations, NDArray[np.int32], int]:
-        """Start states after random actions; starts that ended the episode by themselves are drawn again."""
+        """Start states after random actions that did not end the episode."""
         rows = list(range(self._env.count))
         snapshots: dict[int, tuple[NDArray[np.generic], int]] = {}
         redrawn = 0
@@ -161,7 +160,7 @@ class Evaluator:
         raise EnvError(f"{PERTURBATION_ROUNDS} rounds of {most} random actions each ended in error states")
 
     def _random_walks(self, policy: GlobalPolicy, most: int) -> dict[int, tuple[NDArray[np.generic], int]]:
-        """A snapshot and DFA state after k random actions for every row that lived that long."""
+        """Snapshot and DFA state after k random actions, for surviving rows."""
         count = self._env.count
         accepting, error = _masks(policy)
         self._reset()
@@ -187,7 +186,7 @@ class Evaluator:
 
 
 def finished(steps: Generator[None, None, T]) -> T:
-    """Run steps to their end; what they return."""
+    """Exhaust a generator and return its result."""
     while True:
         try:
             next(steps)

@@ -1,4 +1,4 @@
-"""One evaluation in one mode or both: which are played, and which counts."""
+"""Plays an evaluation in one or both action modes and selects the result."""
 
 from __future__ import annotations
 
@@ -12,12 +12,12 @@ from t4nmtd_dist.policy.global_policy import GlobalPolicy
 
 @dataclass(frozen=True)
 class Played:
-    """The episodes that an evaluation reports.
+    """The reported episodes of an evaluation.
 
     Attributes:
-        mode: how they were played.
-        result: what they came to.
-        other_success_rate: success rate in the other mode; None where only one was played.
+        mode: their action mode.
+        result: their result.
+        other_success_rate: success rate in the other mode; None if it was not played.
     """
 
     mode: ActionMode
@@ -28,15 +28,9 @@ class Played:
 def play(
     evaluator: Evaluator, policy: GlobalPolicy, modes: Sequence[ActionMode], enough: float
 ) -> Generator[None, None, Played]:
-    """Play the first mode, and each further one only where those before it fall short; the best counts.
+    """Play the first mode, and each further one while the success rate is below ``enough``; the best counts.
 
-    It goes step by step, for a caller that has other things to do in between, and returns what was played.
-
-    Args:
-        evaluator: plays the episodes.
-        policy: what acts.
-        modes: in the order in which to try them, at least one.
-        enough: success rate that makes further modes needless.
+    Yields once per step, for interleaving with other work, and returns the result.
     """
     results: dict[ActionMode, EvaluationResult] = {}
     for mode in modes:

@@ -1,7 +1,7 @@
-"""The files of an exported policy, which is replaced while others may read it; ``t4nmtd_dist.policy.load`` uses them.
+"""Files of an exported policy, replaced while others may read them; used by ``t4nmtd_dist.policy.load``.
 
-A new export is written under another name and renamed once it is whole. A reader opens the folder first and reads
-both files from what it opened, so that they belong together. It tries again if they were replaced meanwhile.
+A new export is written under another name and renamed when complete. A reader opens the folder first, so that both
+files match, and retries if they were replaced meanwhile.
 """
 
 from __future__ import annotations
@@ -41,15 +41,15 @@ def export_policy(
     *,
     mode: ActionMode = "greedy",
 ) -> None:
-    """Write the global policy into ``folder``, replacing what is there by two renames once all is written.
+    """Write the global policy to a new folder, then replace ``folder`` by two renames.
 
     Args:
-        folder: its new home.
+        folder: the destination.
         task: the compiled task.
         q_table: known entries of Q(q, T).
-        weights: by pid, all parameters; only those of the actors that act are kept.
-        about: where it comes from (interactions, versions, seed), for readers.
-        mode: how the policy is to act unless told otherwise: in the way in which it was evaluated.
+        weights: parameters by pid; only those of the acting actors are kept.
+        about: its origin (interactions, versions, seed).
+        mode: action mode it was evaluated in.
 
     Raises:
         OSError: if it cannot be written.
@@ -85,14 +85,14 @@ def export_policy(
 
 
 def _beside(folder: Path) -> tuple[Path, Path]:
-    """Where an export is written, and where the one before goes until it is deleted."""
+    """Temporary folders of the new export and of the replaced one."""
     return folder.with_name(folder.name + ".new"), folder.with_name(folder.name + ".old")
 
 
 def mend_export(folder: Path) -> None:
-    """Put a policy back that a kill between the two renames of an export has left beside its folder.
+    """Restore a policy after a kill between the two renames of an export.
 
-    The newer one is preferred, if it is whole.
+    Prefers the newer one, if complete.
     """
     if folder.exists():
         return
@@ -104,10 +104,10 @@ def mend_export(folder: Path) -> None:
 
 
 def read_export(*folders: Path) -> tuple[Path, Any, dict[str, NDArray[Any]]]:
-    """The first of some folders that holds an export, what its ``policy.json`` says, and its arrays by ``pid/actor.*``.
+    """The first folder with an export, the content of its ``policy.json``, and its arrays by ``pid/actor.*``.
 
     Raises:
-        FileNotFoundError: if none does, and none came within a second although one was being written.
+        FileNotFoundError: if there is none, even after waiting a second for one being written.
         OSError: if the export cannot be read.
         ValueError: if it is damaged.
     """
@@ -134,13 +134,13 @@ def _read_once(folder: Path) -> tuple[Any, dict[str, NDArray[Any]]]:
 
 
 def _read_in(opened: int, name: str) -> bytes:
-    """A file of an open folder, wherever that is by now."""
+    """Read a file of an open folder, even if the folder was renamed."""
     with open(os.open(name, os.O_RDONLY, dir_fd=opened), "rb") as file:
         return file.read()
 
 
 def _being_replaced(folder: Path) -> bool:
-    """Whether an export is under way, or has just come to its end."""
+    """Whether an export is in progress or has just finished."""
     return any(path.exists() for path in _beside(folder)) or (
         (folder / POLICY_FILE).exists() and (folder / ACTORS_FILE).exists()
     )

@@ -1,6 +1,6 @@
-"""The global policy: at <s, q> follow the actor of arg max Q(q, .) (paper, section "Global policy").
+"""The global policy: in <s, q>, act with the actor of arg max Q(q, .) (paper, section "Global policy").
 
-An exported policy is a folder: ``policy.json`` (format version, task, DFA, Q, spaces) and ``actors.safetensors``.
+An exported policy is a folder: ``policy.json`` (format, task, DFA, sub-tasks, Q, rho) and ``actors.safetensors``.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ ActorWeights = Mapping[str, Mapping[str, NDArray[Any]]]
 
 
 class PolicyTask(Protocol):
-    """The parts of a task that a policy needs, of a compiled task or of an exported one."""
+    """The parts of a compiled or exported task that a policy needs."""
 
     @property
     def config(self) -> TaskConfig:
@@ -53,20 +53,18 @@ class PolicyTask(Protocol):
 
 
 class GlobalPolicy:
-    """Actors, one per sub-task, and which one acts in which DFA state.
+    """One actor per sub-task, and the sub-task that acts in each DFA state.
 
     Args:
-        task: its settings, automaton, sub-tasks and potentials.
+        task: settings, automaton, sub-tasks and potentials.
         q_table: known entries of Q(q, T).
-        actors: by pid, parameters named ``actor.*`` (others are ignored).
-        mode: how ``act`` picks actions unless told otherwise: the most likely ones, or sampled ones.
-        seed: of sampled actions; None for one from the operating system.
-
-    Attributes:
-        mode: as above; an exported policy has the mode in which it was evaluated best.
+        actors: parameters by pid, named ``actor.*`` (others are ignored).
+        mode: default action mode of ``act``, ``greedy`` (most likely actions) or ``sampled``; that of the best
+            evaluation in an exported policy.
+        seed: for sampled actions; None for a random one.
 
     Raises:
-        PolicyError: if the actors' parameters are missing or do not fit, or there is no such mode.
+        PolicyError: if the actors' parameters are missing or do not fit, or the mode is unknown.
     """
 
     def __init__(
@@ -90,11 +88,11 @@ class GlobalPolicy:
 
     @property
     def _timed(self) -> bool:
-        """Whether the trace ends with the episode, so that actors see the remaining time (docs/acceptance.md)."""
+        """Whether actors observe the remaining time (docs/acceptance.md)."""
         return LAST in self.dfa.propositions
 
     def _choices(self) -> dict[int, str]:
-        """The sub-task that the method chooses in every DFA state, greedily among those that have an actor."""
+        """The greedy choice in every DFA state, among sub-tasks with an actor."""
         module = method_module(self.config.learner.method)
         method = module.build(self.config, self.dfa, self.decomposition, self.rho)
         method.load(self.q_table)
@@ -104,7 +102,7 @@ class GlobalPolicy:
     def actions(
         self, observations: Observations, q: NDArray[np.int32], rng: np.random.Generator | None = None
     ) -> tuple[Actions, NDArray[np.bool_]]:
-        """Actions at product states, and for which of them a sub-task has an actor. torch computes with one thread.
+        """Actions at product states, and which of them have an actor. torch uses one thread.
 
         Args:
             observations: float32 [N, d].
@@ -112,7 +110,7 @@ class GlobalPolicy:
             rng: samples the actions; without it they are greedy.
 
         Returns:
-            int64 [N] or float32 [N, A], any valid action where there is no actor; bool [N].
+            int64 [N] or float32 [N, A], arbitrary valid actions where there is no actor; bool [N].
         """
         with one_torch_thread():
             return self._actions(observations, q, rng)
@@ -134,18 +132,14 @@ class GlobalPolicy:
         return (np.zeros(len(q), np.int64) if actions is None else actions), known
 
     def reset(self, seed: int | None = None) -> None:
-        """Begin an episode: the DFA is in its initial state.
-
-        Args:
-            seed: of the actions sampled from now on; None lets the policy's generator draw on.
-        """
+        """Begin an episode in the initial DFA state; ``seed``, if given, reseeds sampled actions."""
         self._q, self._first, self._steps = self.dfa.initial, True, 0
         if seed is not None:
             self._rng = np.random.default_rng(seed)
 
     @property
     def state(self) -> int:
-        """The DFA state now."""
+        """The current DFA state."""
         return self._q
 
     def act(
@@ -156,20 +150,20 @@ class GlobalPolicy:
         actions: ActionMode | None = None,
         rng: np.random.Generator | None = None,
     ) -> Any:
-        """The action at one observation, after reading the labels that came with it: a number, or an array [A].
+        """The action at an observation, after reading its labels: a number, or an array [A].
 
-        The labels of the first observation after ``reset`` are not read: a trace begins with the first step.
+        The first labels after ``reset`` are ignored: a trace begins with the first step.
 
         Args:
-            observation: numbers, as the environment gives them: of a Box of any shape. Observations that are one-hot
-                or a Dict go through ``environments.observations.flattener`` first.
+            observation: numbers of a Box; pass one-hot and Dict observations through
+                ``environments.observations.flattener`` first.
             labels: names of the true propositions.
             actions: ``greedy`` or ``sampled``; None for the policy's own mode.
-            rng: what sampled actions are drawn with; None for the policy's own generator.
+            rng: for sampled actions; None for the policy's own generator.
 
         Raises:
-            PolicyError: if the DFA is in a state for which nothing was learned, the observation is too long or too
-                short, or there is no such mode.
+            PolicyError: if nothing was learned for the DFA state, the observation has another length, or the mode is
+                unknown.
         """
         sampling = (self.mode if actions is None else action_mode(actions)) == "sampled"
         if not self._first:
@@ -185,7 +179,7 @@ class GlobalPolicy:
         return found[0]
 
     def _kind(self) -> str:
-        """Of which kind the DFA state is, where there is no action."""
+        """The kind of a DFA state without an action."""
         if self._q in self.dfa.accepting:
             return "accepting"
         return "an error state" if self._q in self.dfa.error else "one for which nothing was learned"
@@ -194,22 +188,17 @@ class GlobalPolicy:
         """Whether the task is solved after the step that followed the last action.
 
         Args:
-            labels: names of the propositions that are true after that step.
-            ended: whether the environment ended the episode on it; the horizon of the task counts by itself.
+            labels: names of the true propositions after that step.
+            ended: whether the environment ended the episode; the horizon is detected automatically.
         """
         return self._after(labels, ended=ended) in self.dfa.accepting
 
     def failed(self, labels: Iterable[str], *, ended: bool = False) -> bool:
-        """Whether the task can no longer be solved after the step that followed the last action.
-
-        Args:
-            labels: names of the propositions that are true after that step.
-            ended: as for ``accepts``.
-        """
+        """Whether the task can no longer be solved after that step; arguments as for ``accepts``."""
         return self._after(labels, ended=ended) in self.dfa.error
 
     def _after(self, labels: Iterable[str], *, ended: bool = False) -> int:
-        """The DFA state after the step that followed the last action."""
+        """The DFA state after the last action's step."""
         ended = ended or self._steps + 1 >= self.config.environment.horizon
         return self.dfa.step(self._q, [*labels, LAST] if ended else labels)
 
@@ -232,14 +221,14 @@ class GlobalPolicy:
         return np.concatenate([row, share.reshape(1, 1)], axis=1)
 
     def _observation_size(self) -> int | None:
-        """How many numbers its actors see besides the DFA state; None if it has no actor."""
+        """Length of the actors' observations, or None without actors."""
         return next((actor.inputs - self.dfa.states for actor in self._actors.values()), None)
 
     def check_fits(self, observations: Observations) -> None:
-        """Look whether the actors learned from observations like these [N, d].
+        """Check that the actors were trained on observations of this size [N, d].
 
         Raises:
-            PolicyError: if those were of another size.
+            PolicyError: if not.
         """
         learned_from = self._observation_size()
         if learned_from not in (None, observations.shape[1]):

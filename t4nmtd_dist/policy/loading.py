@@ -1,4 +1,4 @@
-"""Loads an exported policy: see ``policy.export`` for its files."""
+"""Loads an exported policy; ``policy.export`` describes its files."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ ACTING_LEARNER_KEYS = {"algorithm", "gamma", "hidden", "normalise_observations"}
 
 @dataclass(frozen=True)
 class ExportedTask:
-    """The parts of a task that an export holds; see ``PolicyTask``."""
+    """The parts of a task in an export; see ``PolicyTask``."""
 
     config: TaskConfig
     dfa: DFA
@@ -33,14 +33,14 @@ class ExportedTask:
 
 
 def load(path: str | Path, *, seed: int | None = None) -> GlobalPolicy:
-    """Load an exported policy, from its folder or from a run directory.
+    """Load an exported policy from its folder or a run directory.
 
     Args:
         path: the folder or the run directory.
-        seed: of sampled actions; None for one from the operating system.
+        seed: for sampled actions; None for a random one.
 
     Raises:
-        PolicyError: if there is no policy, it is damaged, or of another format version.
+        PolicyError: if the policy is missing, damaged, or of another format version.
     """
     folder, data, arrays = _read(Path(path))
     found = data.get("format") if isinstance(data, dict) else None
@@ -68,13 +68,13 @@ def _restored(data: Mapping[str, Any], actors: ActorWeights, folder: Path, seed:
 
 
 def _acting_settings(task: Mapping[str, Any]) -> dict[str, Any]:
-    """A task's settings without those that say how to train, which change between versions."""
+    """A task's settings without the training settings, which change between versions."""
     learner = {key: value for key, value in task["learner"].items() if key in ACTING_LEARNER_KEYS}
     return {key: value for key, value in task.items() if key not in TRAINING_KEYS} | {"learner": learner}
 
 
 def _read(path: Path) -> tuple[Path, Any, dict[str, NDArray[Any]]]:
-    """The export in ``path`` or in ``policy`` below it."""
+    """The export in ``path`` or ``path/policy``."""
     try:
         return read_export(path, path / "policy")
     except FileNotFoundError:

@@ -1,4 +1,4 @@
-"""One torch thread for a small forward pass: more only wait for each other, above all on a machine that is busy."""
+"""One torch thread for small forward passes, where more would only wait for each other."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ import torch
 
 @contextmanager
 def one_torch_thread() -> Iterator[None]:
-    """Let torch compute with one thread inside the block, and with as many as before after it."""
+    """Limit torch to one thread inside the block."""
     before = torch.get_num_threads()
     if before == 1:
         yield

@@ -1,4 +1,4 @@
-"""Episodes of a policy as pictures, with what the automaton makes of them written below."""
+"""Renders a policy's episodes, with labels and DFA state in a caption."""
 
 from __future__ import annotations
 
@@ -26,15 +26,15 @@ PAPER, INK, FAINT, GOOD, BAD = (245, 246, 248), (33, 37, 41), (173, 181, 189), (
 
 @dataclass(frozen=True)
 class Moment:
-    """One picture of an episode and what goes with it.
+    """One frame of an episode and its context.
 
     Attributes:
-        frame: uint8 [h, w, 3], as the environment drew it.
+        frame: uint8 [h, w, 3], rendered by the environment.
         labels: names of the true propositions.
         q: the DFA state.
         pid: the active sub-task; None at the end.
         step: steps taken.
-        outcome: "" while the episode goes on; then "accepted" or why it failed.
+        outcome: "" during the episode; then "accepted" or the reason of failure.
     """
 
     frame: Frame
@@ -49,7 +49,7 @@ def open_for_recording(policy: GlobalPolicy) -> SingleEnv:
     """The policy's environment with ``render_mode="rgb_array"``.
 
     Raises:
-        EnvError: if it cannot be opened so.
+        EnvError: if it cannot be opened this way.
     """
     config = policy.config
     settings = with_snapshots(config.environment, config.propositions)
@@ -57,16 +57,16 @@ def open_for_recording(policy: GlobalPolicy) -> SingleEnv:
 
 
 def play(policy: GlobalPolicy, env: SingleEnv, seed: int) -> Iterator[Moment]:
-    """One episode from the environment's own reset, with actions in the policy's own mode.
+    """One episode from the environment's reset, in the policy's own action mode.
 
     Args:
-        policy: what acts.
-        env: the environment, as ``open_for_recording`` opens it.
-        seed: of the reset and of sampled actions.
+        policy: the acting policy.
+        env: from ``open_for_recording``.
+        seed: for the reset and sampled actions.
 
     Raises:
-        EnvError: if the environment draws no pictures.
-        PolicyError: if the policy learned from observations of another size.
+        EnvError: if the environment renders no frames.
+        PolicyError: if the policy was trained on observations of another size.
     """
     observation, q, labels, ended = env.reset(seed), policy.dfa.initial, frozenset[str](), ""
     horizon, timed = policy.config.environment.horizon, LAST in policy.dfa.propositions
@@ -106,7 +106,7 @@ def _frame(env: SingleEnv) -> Frame:
 
 
 def captioned(moment: Moment, policy: GlobalPolicy, propositions: tuple[str, ...]) -> Frame:
-    """The picture with labels, DFA state and active sub-task below it, uint8 [h, w, 3] with even sides."""
+    """The frame with labels, DFA state and active sub-task below, uint8 [h, w, 3] with even sides."""
     height, width = moment.frame.shape[:2]
     scale = max(1, -(-LEAST_WIDTH // width))
     picture = Image.fromarray(moment.frame).resize((width * scale, height * scale), Image.Resampling.NEAREST)
@@ -127,7 +127,7 @@ def captioned(moment: Moment, policy: GlobalPolicy, propositions: tuple[str, ...
 def _draw_labels(
     draw: ImageDraw.ImageDraw, top: float, width: float, labels: frozenset[str], propositions: tuple[str, ...]
 ) -> None:
-    """True propositions dark, others faint; only the true ones if not all find room."""
+    """True propositions dark, others faint or omitted if there is no room."""
     room = sum(draw.textlength(name, _font()) + 14 for name in propositions) < width - 10
     left = 10.0
     for name in propositions if room else sorted(labels):

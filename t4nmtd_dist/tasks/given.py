@@ -1,8 +1,7 @@
-"""Python objects that a task names in place of an importable function: environments and labelling functions.
+"""Registry of Python objects that a task uses instead of importable functions.
 
-A function defined in a notebook or in the script that is running cannot be imported by its name. ``Task`` registers it
-here and writes ``python:NAME`` into the settings. The table is a property of the process: processes forked from it have
-the same entries, all others refuse such a task.
+Functions from a notebook or the running script cannot be imported by name. ``Task`` registers them here and writes
+``python:NAME`` into the settings. Forked processes inherit the registry; all others refuse such a task.
 """
 
 from __future__ import annotations
@@ -18,9 +17,9 @@ _objects: dict[str, Callable[..., Any]] = {}
 
 
 def give(function: Callable[..., Any]) -> str:
-    """Register ``function``; the setting that stands for it.
+    """Register ``function`` and return its setting.
 
-    The same function gets the same name again. Another one of that name gets a number.
+    The same function keeps its name; a different one of that name gets a number.
     """
     plain = getattr(function, "__name__", type(function).__name__)
     number, name = 1, plain
@@ -32,12 +31,12 @@ def give(function: Callable[..., Any]) -> str:
 
 
 def is_given(setting: str) -> bool:
-    """Whether a setting stands for an object of the process that wrote it."""
+    """Whether a setting refers to an object of the process that wrote it."""
     return setting.startswith(GIVEN)
 
 
 def same_code(one: str, other: str) -> bool:
-    """Whether two settings name the same code, or functions of one name, such as a cell run twice defines."""
+    """Whether two settings name the same code, or functions of one name."""
     return one == other or (is_given(one) and is_given(other) and _plain(one) == _plain(other))
 
 
@@ -46,5 +45,5 @@ def _plain(setting: str) -> str:
 
 
 def given(setting: str) -> Callable[..., Any] | None:
-    """The object behind a setting; None if this process has none of that name."""
+    """The object of a setting; None if this process has none."""
     return _objects.get(setting.removeprefix(GIVEN))

@@ -1,4 +1,4 @@
-"""The layers that the settings of a task are made of, and which of them each setting comes from."""
+"""Layers of a task's settings, and the origin of each setting."""
 
 from __future__ import annotations
 
@@ -18,11 +18,11 @@ Key = tuple[str, ...]
 
 @dataclass(frozen=True)
 class Layer:
-    """Settings from one place.
+    """Settings from one source.
 
     Attributes:
-        origin: the place, for people: a file or a flag.
-        data: nested mappings, as TOML gives them.
+        origin: a file or flag, for display.
+        data: nested mappings, as in TOML.
     """
 
     origin: str
@@ -30,28 +30,22 @@ class Layer:
 
 
 def setting_layers(task: Path, configs: Iterable[Path] = (), flags: Iterable[str] = ()) -> list[Layer]:
-    """A task file, files laid over it and ``--set`` flags, the lowest layer first.
+    """A task file, the files overriding it and ``--set`` flags, lowest layer first.
 
     Raises:
-        ConfigError: if a file cannot be read or a flag is malformed.
+        ConfigError: if a file is unreadable or a flag malformed.
     """
     files = [Layer(f"--config {path}", read_toml(path)) for path in configs]
     return [Layer(task.name, read_toml(task)), *files, Layer("--set", settings_from_flags(flags))]
 
 
 def merged(layers: Iterable[Layer]) -> dict[str, Any]:
-    """What the layers say together."""
+    """The merged layers."""
     return reduce(merge, (layer.data for layer in layers), {})
 
 
 def origin(key: Key, layers: Iterable[Layer], config: TaskConfig) -> str:
-    """Where the value of a setting comes from: a layer, the defaults of the chosen algorithm, or those of all.
-
-    Args:
-        key: names from the section to the setting.
-        layers: that the settings are made of.
-        config: what they are.
-    """
+    """Origin of a setting's value: a layer, the chosen algorithm's defaults, or the general ones."""
     for layer in reversed(list(layers)):
         if _has(layer.data, key):
             return layer.origin

@@ -1,4 +1,4 @@
-"""Find a task by name or path and fill in what its file leaves out."""
+"""Finds a task by name or path and completes its settings."""
 
 from __future__ import annotations
 
@@ -14,18 +14,18 @@ from t4nmtd_dist.tasks.layers import Layer, merged, setting_layers
 
 
 def task_names() -> list[str]:
-    """Names of the tasks that come with the package."""
+    """Names of the bundled tasks."""
     found = files("t4nmtd_dist.tasks").iterdir()
     return sorted(entry.name.removesuffix(".toml") for entry in found if entry.name.endswith(".toml"))
 
 
 def load_task(name: str, *, configs: Iterable[Path] = (), flags: Iterable[str] = ()) -> TaskConfig:
-    """The settings of a task.
+    """Load a task's settings.
 
     Args:
-        name: a name such as ``task7``, or the path of a task file of your own (``*.toml``).
-        configs: further TOML files laid over the task file, in order.
-        flags: ``section.key=value`` texts laid over everything.
+        name: a bundled task such as ``task7``, or the path of a task file (``*.toml``).
+        configs: TOML files that override the task file, in order.
+        flags: ``section.key=value`` strings that override everything.
 
     Raises:
         ConfigError: for an unknown task, an unreadable file, or settings that ``task_config`` refuses.
@@ -34,23 +34,23 @@ def load_task(name: str, *, configs: Iterable[Path] = (), flags: Iterable[str] =
 
 
 def from_layers(name: str, layers: Iterable[Layer]) -> TaskConfig:
-    """The settings of the task ``name`` as its layers say; see ``load_task``."""
+    """Settings of task ``name`` from its layers; see ``load_task``."""
     task = task_config(merged(layers), source=name)
     return _with_path(task, task_file(name).parent) if name.endswith(".toml") else task
 
 
 def is_bundled(task: TaskConfig) -> bool:
-    """Whether the task's environment is, with all options, that of a task that comes with the package."""
+    """Whether the task has the name, environment and options of a bundled task."""
     return task.name in task_names() and task.environment == load_task(task.name).environment
 
 
 def is_packages_environment(environment: EnvironmentConfig) -> bool:
-    """Whether the environment comes with the package, whatever its options."""
+    """Whether the environment comes with the package, with any options."""
     return environment.id in {load_task(name).environment.id for name in task_names()}
 
 
 def _with_path(task: TaskConfig, folder: Path) -> TaskConfig:
-    """The task with absolute folders for its modules: the task file's own, then those of ``environment.path``."""
+    """The task with absolute module folders: the task file's own, then those of ``environment.path``."""
     listed = [folder, *(folder / further for further in task.environment.folders)]
     absolute = tuple(dict.fromkeys(str(path.resolve()) for path in listed))
     path = absolute if len(absolute) > 1 else absolute[0]
@@ -58,7 +58,7 @@ def _with_path(task: TaskConfig, folder: Path) -> TaskConfig:
 
 
 def task_file(name: str) -> Path:
-    """The file of a task, by its name or path.
+    """The task file for a name or path.
 
     Raises:
         ConfigError: if no task has that name; suggests the nearest.

@@ -1,1 +1,1 @@
-"""What agents share."""
+"""Code shared by agents."""

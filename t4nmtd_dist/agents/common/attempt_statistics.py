@@ -1,4 +1,4 @@
-"""Counts of attempts and how they ended, for learners' schedules, the coordinator and the dashboard."""
+"""Counts attempts and their outcomes, for exploration schedules, the coordinator and the dashboard."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ RECENT_ATTEMPTS = 100
 
 @dataclass
 class Endings:
-    """How attempts without success have ended: in an error state, with the environment, or by lack of time."""
+    """Failed attempts by cause: error state, environment termination, or timeout."""
 
     errors: int = 0
     terminated: int = 0
@@ -21,12 +21,12 @@ class Endings:
 
 
 class AttemptStatistics:
-    """Attempts of one role so far.
+    """Statistics of one role's attempts.
 
     Attributes:
-        attempts: attempts that have ended.
-        successes: those that reached a target.
-        endings: how the others ended, as far as it is one of the three ways.
+        attempts: finished attempts.
+        successes: attempts that reached a target.
+        endings: causes of the failures, as far as one of the three applies.
     """
 
     def __init__(self) -> None:
@@ -35,24 +35,24 @@ class AttemptStatistics:
         self._recent: deque[tuple[bool, int]] = deque(maxlen=RECENT_ATTEMPTS)
 
     def add(self, success: bool, steps: int) -> None:
-        """Count an attempt that has ended after so many steps."""
+        """Count a finished attempt and its length in steps."""
         self.attempts += 1
         self.successes += success
         self._recent.append((success, steps))
 
     @property
     def recent_success(self) -> float | None:
-        """Share of the last attempts that reached a target; None before the first ended."""
+        """Success rate of the recent attempts; None before the first."""
         return float(np.mean([success for success, _ in self._recent])) if self._recent else None
 
     @property
     def recent_length(self) -> float | None:
-        """Mean length of the last attempts in steps."""
+        """Mean length of the recent attempts in steps; None before the first."""
         return float(np.mean([steps for _, steps in self._recent])) if self._recent else None
 
     @property
     def recent(self) -> list[tuple[bool, int]]:
-        """The last attempts as (success, steps), the oldest first."""
+        """The recent attempts as (success, steps), oldest first."""
         return list(self._recent)
 
     @property
@@ -61,7 +61,7 @@ class AttemptStatistics:
         return [self.attempts, self.successes, *vars(self.endings).values()]
 
     def load(self, counts: Iterable[int], recent: Iterable[tuple[bool, int]]) -> None:
-        """Continue from a checkpoint's ``counts`` and ``recent``; one of an earlier version has no endings."""
+        """Restore ``counts`` and ``recent``; older counts lack the endings."""
         self.attempts, self.successes, *endings = counts
         self.endings = Endings(*endings)
         self._recent.clear()

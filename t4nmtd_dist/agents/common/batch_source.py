@@ -1,4 +1,4 @@
-"""The batches that an off-policy agent trains on: own experience, and that of its peers, read for the own sub-task."""
+"""Draws an off-policy agent's batches from own and peers' replay, relabelled for its sub-task."""
 
 from __future__ import annotations
 
@@ -24,18 +24,13 @@ class BatchSource:
     """Draws batches for one sub-task.
 
     Args:
-        pid: the sub-task.
-        experience: the learner's own.
-        reader: reads experience for the sub-task.
+        experience: the learner's own replay buffer.
         config: shares of a batch.
-        method: says which rows are read in which DFA states, and whose value they bootstrap from.
-        rng: the learner's generator.
+        method: selects the DFA states to read rows in, and the bootstrap peer.
 
     Attributes:
-        others: the experience of peers by pid; it may hold the own.
-        reader: as given.
-        method: as given.
-        reads_peers: whether peers' experience is of use.
+        others: peers' replay buffers by pid; may include the own one.
+        reads_peers: whether peers' replay is used.
     """
 
     def __init__(
@@ -56,18 +51,13 @@ class BatchSource:
         self.others: Mapping[str, ReplayBuffer] = {}
 
     def peers_experience(self) -> list[ReplayBuffer]:
-        """What is not empty, and there is use for."""
+        """Peers' non-empty replay buffers; none if peers' replay is not used."""
         if not self.reads_peers:
             return []
         return [experience for pid, experience in self.others.items() if pid != self._pid and len(experience)]
 
     def draw(self, number: int, success: float) -> DrawnBatch:
-        """A batch, a share of it from the experience of one peer, which is as likely as its experience is long.
-
-        Args:
-            number: of the batch.
-            success: share of the own recent attempts that succeeded.
-        """
+        """Draw batch ``number``; its peer share comes from one peer, drawn in proportion to buffer length."""
         config, parts = self._config, []
         others = self.peers_experience()
         peers_rows = round(config.batch * config.peer_share) if others else 0
@@ -91,7 +81,7 @@ class BatchSource:
         )
 
     def _own_rows(self, size: int) -> Reading:
-        """Own experience, each row read in its own DFA state or in one drawn from all of the sub-task's."""
+        """Own rows, read in their own or another DFA state of the sub-task."""
         config, experience = self._config, self._experience
         rows = experience.sample(size, config.success_share, self._rng)
         q = experience.q[rows]
@@ -100,9 +90,9 @@ class BatchSource:
         return self.reader.read(experience, rows, q)
 
     def _peers_rows(self, others: Sequence[ReplayBuffer], size: int, success: float) -> Reading:
-        """A peer's experience, read in DFA states of the own sub-task: those in which the peer was may not be any.
+        """A peer's rows, read in DFA states of the own sub-task.
 
-        A learner that fails also draws from what its peer found by chance, as it draws from before own successes.
+        The lower the success rate, the more of them come from before accidental successes.
         """
         lengths = np.array([len(experience) for experience in others])
         experience = others[int(self._rng.choice(len(others), p=lengths / lengths.sum()))]

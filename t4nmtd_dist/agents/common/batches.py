@@ -1,4 +1,4 @@
-"""Batches that off-policy agents train on."""
+"""Batches for off-policy agents."""
 
 from __future__ import annotations
 
@@ -18,14 +18,14 @@ States = NDArray[np.int32]
 
 @dataclass
 class Batch:
-    """Experiences, float32: what one gradient step learns from.
+    """Transitions for one gradient step, float32.
 
     Attributes:
-        states: product states [B, d].
-        actions: as they are stored: within [-1, 1] if continuous, numbers of actions if discrete [B, A].
-        rewards: sums of the discounted scaled rewards of the n steps [B].
-        discounts: gamma**n, or 0 where the experience ends in a terminal [B].
-        next_states: product states n steps later [B, d].
+        states: product states [B, d + |Q|].
+        actions: within [-1, 1] if continuous, indices if discrete [B, A].
+        rewards: scaled n-step returns [B].
+        discounts: gamma**n, or 0 at terminals [B].
+        next_states: product states n steps later [B, d + |Q|].
     """
 
     states: Tensor
@@ -37,18 +37,18 @@ class Batch:
 
 @dataclass(frozen=True)
 class DrawnBatch:
-    """A batch between its drawing and its training, as plain data; B rows, k of them across a boundary.
+    """A drawn batch waiting for its update; B rows, k of them across a boundary.
 
     Attributes:
-        number: gradient steps that come before it.
-        states: product states [B, d + |Q|], observations as the environment gave them.
+        number: number of gradient steps before it.
+        states: product states with raw observations [B, d + |Q|].
         actions: [B, A].
         rewards: scaled n-step returns [B].
         discounts: [B].
-        next_states: product states that are bootstrapped from [B, d + |Q|].
-        asked_rows: rows whose value is a peer's [k].
-        asked_pids: of which peer [k].
-        asked_q: DFA states of these rows' next states [k].
+        next_states: bootstrap product states [B, d + |Q|].
+        asked_rows: rows that bootstrap from a peer [k].
+        asked_pids: their peers [k].
+        asked_q: DFA states of their next states [k].
     """
 
     number: int
@@ -62,12 +62,12 @@ class DrawnBatch:
     asked_q: States
 
     def questions(self, observation_size: int) -> Questions:
-        """What peers are asked about it; observations are the first ``observation_size`` numbers of a state."""
+        """Queries to peers; ``observation_size`` is d."""
         observations = self.next_states[self.asked_rows, :observation_size]
         return Questions(self.asked_rows, self.asked_pids, observations, self.asked_q)
 
     def tensors(self, normalisation: Normalisation | None = None) -> Batch:
-        """What the gradient step learns from, with observations as it is to see them."""
+        """The batch as tensors, with normalised observations."""
         states, next_states = self.states, self.next_states
         if normalisation is not None:
             states, next_states = map(normalisation.apply_to_states, (states, next_states))

@@ -1,4 +1,4 @@
-"""Batches drawn before they are trained on, so that peers have time to answer what they are asked about them."""
+"""Draws batches ahead of their updates, so that peers have time to answer value queries."""
 
 from __future__ import annotations
 
@@ -9,37 +9,32 @@ from typing import Any
 from t4nmtd_dist.agents.common.batches import DrawnBatch
 from t4nmtd_dist.agents.common.peer_values import PeerCritics, PeerValues
 
-BATCHES_AHEAD = 16  # twice what shares a request: the other half is the time that peers have to answer
+BATCHES_AHEAD = 16  # twice the batches per request: the other half gives peers time to answer
 
 
 class BatchesAhead:
-    """A queue of drawn batches, and which of them peers have been asked about.
+    """A queue of drawn batches and the peer queries about them.
 
-    The loop it is meant for::
+    Intended loop::
 
         batch, answers = ahead.next(source.draw, peers)
         train_on(batch, answers)
 
     Args:
-        observation_size: d, how many numbers of a product state peers are told.
+        observation_size: d, the part of a product state sent to peers.
 
     Attributes:
-        drawn: the batches, in the order in which they will be trained on.
+        drawn: batches in training order.
     """
 
     def __init__(self, observation_size: int) -> None:
         self._observation_size = observation_size
         self.drawn: deque[DrawnBatch] = deque()
         self._first = 0  # number of the next batch
-        self._asked = 0  # batches of smaller numbers have been asked about
+        self._asked = 0  # peers were queried about batches with smaller numbers
 
     def next(self, draw: Callable[[int], DrawnBatch], peers: PeerCritics) -> tuple[DrawnBatch, PeerValues]:
-        """The batch drawn longest ago and its answers; draws further batches and asks peers about them.
-
-        Args:
-            draw: draws the batch of a number.
-            peers: are asked.
-        """
+        """Pop the oldest batch and its answers, after refilling the queue with ``draw(number)`` and querying peers."""
         while len(self.drawn) < BATCHES_AHEAD:
             self.drawn.append(draw(self._first + len(self.drawn)))
         self._ask(peers)
@@ -48,7 +43,7 @@ class BatchesAhead:
         return batch, peers.gather(batch.number)
 
     def _ask(self, peers: PeerCritics) -> None:
-        """Ask peers about the batches that they have not been asked about: after a resume about all of them."""
+        """Query peers about all batches not queried yet."""
         for batch in self.drawn:
             if batch.number >= self._asked:
                 self._asked = batch.number + 1
@@ -60,11 +55,6 @@ class BatchesAhead:
         return [dict(vars(batch)) for batch in self.drawn]
 
     def load_state_dict(self, batches: Iterable[Mapping[str, Any]], first: int) -> None:
-        """Go on with the batches of a ``state``; peers will be asked about them again.
-
-        Args:
-            batches: of the state.
-            first: number of the next one.
-        """
+        """Restore the batches, beginning with number ``first``; peers will be queried again."""
         self.drawn = deque(DrawnBatch(**{**batch, "asked_pids": tuple(batch["asked_pids"])}) for batch in batches)
         self._first = self._asked = first

@@ -1,4 +1,4 @@
-"""What a learner is built from."""
+"""Inputs for building a learner."""
 
 from __future__ import annotations
 
@@ -18,17 +18,17 @@ from t4nmtd_dist.method.protocol import Method
 
 @dataclass(frozen=True)
 class AgentContext:
-    """The sub-task, the environments and the settings of one learner.
+    """Sub-task, environments and settings of one learner.
 
     Attributes:
         pid: the sub-task.
-        task: the compiled task: settings, DFA and all sub-tasks.
-        rollout: N copies of the environment within attempts at the sub-task.
+        task: the compiled task.
+        rollout: N environments in which the learner attempts the sub-task.
         action_space: of the environment.
-        method: the learner's copy of the method, whose upper level the coordinator keeps up to date.
-        seed: of networks and sampling.
-        device: where the networks are trained; rollout and answers to peers stay on the CPU.
-        normalised: which numbers of an observation are normalised, bool [d].
+        method: the learner's copy; the coordinator updates its high level.
+        seed: for networks and sampling.
+        device: of the trained networks; the rollout and answers to peers stay on the CPU.
+        normalised: which observation entries are normalised, bool [d].
     """
 
     pid: str
@@ -42,7 +42,7 @@ class AgentContext:
 
     @property
     def settings(self) -> LearnerConfig:
-        """What all learners share."""
+        """Settings shared by all learners."""
         return self.task.config.learner
 
     @property
@@ -52,7 +52,7 @@ class AgentContext:
 
     @property
     def observation_size(self) -> int:
-        """D, the length of an observation."""
+        """Length of an observation, d."""
         return len(self.normalised)
 
     @property
@@ -61,7 +61,7 @@ class AgentContext:
         return self.observation_size + self.dfa_states
 
     def action_count(self) -> int:
-        """How many discrete actions there are.
+        """Number of discrete actions.
 
         Raises:
             EnvError: if the action space is not Discrete.
@@ -72,14 +72,14 @@ class AgentContext:
         """Lowest and highest continuous actions, float32 [A] each.
 
         Raises:
-            EnvError: if the action space is not a Box of one dimension, of real numbers within finite bounds.
+            EnvError: if the action space is not a one-dimensional Box of real numbers with finite bounds.
         """
         return action_bounds(self.action_space, self.task.config.environment.id, self.settings.algorithm.upper())
 
     def rng(self) -> np.random.Generator:
-        """The learner's generator, from the seed; every call gives another in the same state."""
+        """A generator with the learner's seed; each call returns a new one."""
         return np.random.default_rng([self.seed, 1])
 
     def normalisation(self) -> Normalisation:
-        """Empty statistics of observations."""
+        """Empty observation statistics."""
         return Normalisation(self.normalised)

@@ -1,4 +1,4 @@
-"""Exploration that is correlated in time, for learners that have not succeeded yet (docs/decisions/014)."""
+"""Temporally correlated exploration for learners without success (docs/decisions/014)."""
 
 from __future__ import annotations
 
@@ -10,29 +10,20 @@ from numpy.typing import NDArray
 from t4nmtd_dist.core.state_dict import State
 
 Flags = NDArray[np.bool_]
-FREQUENCIES = (0.05, 0.3)  # cycles a step
+FREQUENCIES = (0.05, 0.3)  # cycles per step
 HOLD_CHANCE = 0.1
 LONGEST_HOLD = 20
 
 
 def driven_share(share: float, success: float) -> float:
-    """Share of the attempts that exploration drives; it falls with the square of the share of attempts that fail.
-
-    Args:
-        share: of a learner without success.
-        success: share of the recent attempts that succeeded.
-    """
+    """Share of attempts driven by exploration: ``share`` times the squared failure rate."""
     return share * (1.0 - success) ** 2
 
 
 class SinusoidExploration:
-    """Some attempts are driven by sinusoids: per attempt one frequency (cycles a step), per action a random phase.
+    """Drives some attempts with sinusoids: one frequency per attempt, a random phase per action.
 
-    Args:
-        count: copies of the environment.
-        action_size: A.
-        share: share of the attempts of a learner without success that are driven so (``driven_share``).
-        rng: source of randomness.
+    Arguments as for ``Exploration``.
     """
 
     def __init__(self, count: int, action_size: int, share: float, rng: np.random.Generator) -> None:
@@ -43,7 +34,7 @@ class SinusoidExploration:
         self._time = np.zeros((count, 1))
 
     def begin(self, copies: Flags, success: float) -> None:
-        """Decide for attempts that have just begun in ``copies`` whether they are driven."""
+        """Decide which of the attempts just begun in ``copies`` are driven."""
         rows = np.flatnonzero(copies)
         self._driven[rows] = self._rng.random(len(rows)) < driven_share(self._share, success)
         self._frequency[rows] = self._rng.uniform(*FREQUENCIES, size=(len(rows), 1))
@@ -51,11 +42,11 @@ class SinusoidExploration:
         self._time[rows] = 0
 
     def state_dict(self) -> State:
-        """The sinusoid of every copy, for a checkpoint; the source of randomness is its owner's affair."""
+        """All sinusoids, for a checkpoint, without the generator."""
         return {name: column.copy() for name, column in self._columns().items()}
 
     def load_state_dict(self, state: State) -> None:
-        """Go on from a ``state``."""
+        """Restore from ``state_dict``."""
         for name, column in self._columns().items():
             column[:] = state[name]
 
@@ -63,7 +54,7 @@ class SinusoidExploration:
         return {"driven": self._driven, "frequency": self._frequency, "phase": self._phase, "time": self._time}
 
     def drive(self, actions: NDArray[np.float32]) -> NDArray[np.float32]:
-        """The actions [N, A] in [-1, 1] to take: the policy's, or the sinusoid's in driven attempts."""
+        """The policy's actions [N, A] in [-1, 1], or the sinusoid's in driven attempts."""
         waves = np.sin(2 * np.pi * self._frequency * self._time + self._phase)
         self._time += 1
         driven: NDArray[np.float32] = np.where(self._driven[:, None], waves, actions).astype(np.float32)
@@ -71,17 +62,11 @@ class SinusoidExploration:
 
 
 class HeldActionExploration:
-    """Some attempts follow the policy, interrupted by uniform random actions, each held for some steps.
+    """Interrupts the policy in some attempts with uniform random actions held for some steps.
 
-    Epsilon-greedy whose random actions last (Dabney et al., 2021): the policy keeps the attempt alive in between,
-    and what is held carries it to places that it would not reach by trembling. In every step without one an action
-    is taken up with probability 0.1, and held for 1 to 20 steps.
-
-    Args:
-        count: copies of the environment.
-        action_size: A.
-        share: share of the attempts of a learner without success that are interrupted (``driven_share``).
-        rng: source of randomness.
+    Temporally extended epsilon-greedy (Dabney et al., 2021). The policy keeps the attempt alive in between; held
+    actions reach states that per-step noise would not. In a step without one, a held action starts with probability 0.1
+    and lasts 1 to 20 steps. Arguments as for ``Exploration``.
     """
 
     def __init__(self, count: int, action_size: int, share: float, rng: np.random.Generator) -> None:
@@ -91,13 +76,13 @@ class HeldActionExploration:
         self._held = np.zeros((count, action_size), np.float32)
 
     def begin(self, copies: Flags, success: float) -> None:
-        """Decide for attempts that have just begun in ``copies`` whether they are interrupted."""
+        """Decide which of the attempts just begun in ``copies`` are interrupted."""
         rows = np.flatnonzero(copies)
         self._interrupted[rows] = self._rng.random(len(rows)) < driven_share(self._share, success)
         self._left[rows] = 0
 
     def drive(self, actions: NDArray[np.float32]) -> NDArray[np.float32]:
-        """The actions [N, A] in [-1, 1] to take: the policy's, or those that are held."""
+        """The policy's actions [N, A] in [-1, 1], or the held ones."""
         rng = self._rng
         taken_up = self._interrupted & (self._left == 0) & (rng.random(len(self._left)) < HOLD_CHANCE)
         rows = np.flatnonzero(taken_up)
@@ -109,11 +94,11 @@ class HeldActionExploration:
         return driven
 
     def state_dict(self) -> State:
-        """What is held in every copy, for a checkpoint; the source of randomness is its owner's affair."""
+        """All held actions, for a checkpoint, without the generator."""
         return {name: column.copy() for name, column in self._columns().items()}
 
     def load_state_dict(self, state: State) -> None:
-        """Go on from a ``state``."""
+        """Restore from ``state_dict``."""
         for name, column in self._columns().items():
             column[:] = state[name]
 
@@ -122,17 +107,17 @@ class HeldActionExploration:
 
 
 class Exploration:
-    """Held actions, sinusoids, both or none, each in the same share of the attempts.
+    """Held actions, sinusoids, both or none, each in the same share of attempts.
 
-    Each kind draws its attempts independently; where both fall on one attempt, the sinusoid drives it. A kind that is
-    not chosen has share 0 and draws random numbers all the same, so that they are the same for every choice.
+    Each kind selects attempts independently; sinusoids take precedence. A disabled kind still draws random numbers, so
+    that all choices see the same sequence.
 
     Args:
         kinds: ``held+sinusoid``, ``held``, ``sinusoid`` or ``none``.
-        share: of the attempts of a learner without success, for each kind (``driven_share``).
-        count: copies of the environment.
+        share: share of attempts at success rate 0, for each kind (``driven_share``).
+        count: number of environments.
         action_size: A.
-        rng: source of randomness.
+        rng: random generator.
     """
 
     def __init__(self, kinds: str, share: float, count: int, action_size: int, rng: np.random.Generator) -> None:
@@ -141,19 +126,19 @@ class Exploration:
         self._held = HeldActionExploration(count, action_size, share if "held" in chosen else 0.0, rng)
 
     def begin(self, copies: Flags, success: float) -> None:
-        """Decide for attempts that have just begun in ``copies`` how they are driven."""
+        """Decide how the attempts just begun in ``copies`` are driven."""
         self._sinusoid.begin(copies, success)
         self._held.begin(copies, success)
 
     def drive(self, actions: NDArray[np.float32]) -> NDArray[np.float32]:
-        """The actions [N, A] in [-1, 1] to take, given the policy's."""
+        """Actions [N, A] in [-1, 1] to take, given the policy's."""
         return self._sinusoid.drive(self._held.drive(actions))
 
     def state_dict(self) -> State:
-        """State of both kinds; the source of randomness is its owner's affair."""
+        """State of both kinds, without the generator."""
         return {"sinusoid": self._sinusoid.state_dict(), "held": self._held.state_dict()}
 
     def load_state_dict(self, state: State) -> None:
-        """Go on from a ``state``."""
+        """Restore from ``state_dict``."""
         self._sinusoid.load_state_dict(state["sinusoid"])
         self._held.load_state_dict(state["held"])

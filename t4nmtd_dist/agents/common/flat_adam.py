@@ -1,6 +1,6 @@
-"""Adam over one flat tensor: one fused pass over parameters, gradient and moments, on any device that has one.
+"""Adam over one flat tensor: a fused pass over parameters, gradient and moments.
 
-``torch.optim.Adam`` computes the same, but its import costs a second or more and each step walks Python objects.
+Equals ``torch.optim.Adam``, whose import takes a second or more and whose steps iterate over Python objects.
 """
 
 from __future__ import annotations
@@ -23,15 +23,15 @@ class FlatAdam:
 
     Args:
         parameters: float32 [P], changed in place by ``step``.
-        learning_rate: its step size.
-        epsilon: added to the root of the second moment; by default torch's.
-        sizes: lengths of the parts that are updated one by one; by default all at once. The last numbers of a part
-            are rounded otherwise than those before, so equality with torch, bit for bit, wants torch's parts.
+        learning_rate: step size.
+        epsilon: added to the root of the second moment; torch's default.
+        sizes: lengths of parts to update separately; by default one. The kernel rounds a part's last numbers
+            differently, so bitwise equality with torch needs torch's parts.
 
     Attributes:
-        gradient: [P], to be filled before each ``step``.
+        gradient: [P], filled by the caller before each ``step``.
         learning_rate: may be changed at any time.
-        steps: how many were taken.
+        steps: number of steps taken.
     """
 
     def __init__(
@@ -43,11 +43,11 @@ class FlatAdam:
         self._mean, self._square = torch.zeros_like(parameters), torch.zeros_like(parameters)
         flat = (parameters, self.gradient, self._mean, self._square)
         self._parts = [list(torch.split(each, list(sizes) or [len(parameters)])) for each in flat]
-        self._count = torch.zeros((), device=parameters.device)  # the same number, where the device needs it
+        self._count = torch.zeros((), device=parameters.device)  # the step count on the device
 
     @classmethod
     def of_module(cls, module: nn.Module, learning_rate: float, epsilon: float = 1e-8) -> FlatAdam:
-        """Adam over all parameters of a module, which become views of one flat tensor, and their gradients too."""
+        """Adam over a module's parameters; these and their gradients become views of flat tensors."""
         parameters = list(module.parameters())
         flat = torch.cat([parameter.detach().view(-1) for parameter in parameters])
         adam = cls(flat, learning_rate, epsilon, [parameter.numel() for parameter in parameters])
@@ -56,7 +56,7 @@ class FlatAdam:
         return adam
 
     def step(self) -> None:
-        """Move the parameters against ``gradient``, which the caller has filled."""
+        """Apply ``gradient``, which the caller has filled, to the parameters."""
         self.steps += 1
         self._count.add_(1)
         parameters, gradients, means, squares = self._parts
@@ -85,7 +85,7 @@ class FlatAdam:
         }
 
     def load_state_dict(self, state: Mapping[str, NDArray[Any]]) -> None:
-        """Go on from a ``state``."""
+        """Restore from ``state_dict``."""
         self._mean.copy_(torch.from_numpy(state["mean"]))
         self._square.copy_(torch.from_numpy(state["square"]))
         self.steps = int(state["steps"])

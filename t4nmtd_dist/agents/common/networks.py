@@ -15,7 +15,7 @@ from t4nmtd_dist.core.errors import PolicyError
 
 
 def mlp(inputs: int, hidden: Sequence[int], outputs: int, *, last_gain: float) -> nn.Sequential:
-    """A tanh network with orthogonal initial weights, gain sqrt(2) inside and ``last_gain`` at the end."""
+    """A tanh MLP with orthogonal initialisation: gain sqrt(2), and ``last_gain`` in the last layer."""
     layers: list[nn.Module] = []
     for width in hidden:
         layers += [_linear(inputs, width, 2**0.5), nn.Tanh()]
@@ -36,7 +36,7 @@ def weights_of(module: nn.Module) -> Weights:
 
 
 def load_weights(module: nn.Module, weights: Mapping[str, NDArray[Any]]) -> None:
-    """Put arrays from ``weights_of`` into a module.
+    """Load arrays from ``weights_of`` into a module.
 
     Raises:
         PolicyError: if names or shapes differ from the module's.
@@ -49,7 +49,7 @@ def load_weights(module: nn.Module, weights: Mapping[str, NDArray[Any]]) -> None
 
 
 def mlp_of(weights: Weights, hidden: Sequence[int]) -> nn.Sequential:
-    """The network ``mlp`` with these parameters; how many inputs and outputs it has, they tell.
+    """The ``mlp`` with these parameters; input and output sizes follow from their shapes.
 
     Raises:
         PolicyError: if there are none, or names or shapes differ from those of an ``mlp`` with layers ``hidden``.

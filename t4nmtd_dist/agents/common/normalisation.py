@@ -1,7 +1,7 @@
-"""Running normalisation: observations brought to mean 0 and variance 1 in front of a learner's networks.
+"""Running normalisation of observations to mean 0 and variance 1 before a learner's networks.
 
-Every learner has statistics of its own, of what it observed in its own attempts. Replay buffers, questions to peers and
-start states hold observations as the environment gave them.
+Every learner keeps statistics of its own attempts. Replay buffers, value queries and start states hold raw
+observations.
 """
 
 from __future__ import annotations
@@ -25,10 +25,10 @@ _PART = "normalisation"
 
 
 class Normalisation:
-    """Mean and variance of every number of an observation, over all observations so far.
+    """Running mean and variance of every entry of an observation.
 
     Args:
-        entries: which numbers are normalised, bool [d]; all others, those of categories, are left alone.
+        entries: which entries are normalised, bool [d]; the others, which are categorical, are unchanged.
     """
 
     def __init__(self, entries: NDArray[np.bool_]) -> None:
@@ -40,12 +40,12 @@ class Normalisation:
 
     @property
     def active(self) -> bool:
-        """Whether any number is normalised."""
+        """Whether any entry is normalised."""
         return bool(self._entries.any())
 
     @property
     def size(self) -> int:
-        """D."""
+        """Length of an observation, d."""
         return len(self._entries)
 
     def alike(self) -> Normalisation:
@@ -53,7 +53,7 @@ class Normalisation:
         return Normalisation(self._entries)
 
     def update(self, observations: Observations) -> None:
-        """Take in observations [N, d] (Chan, Golub and LeVeque, 1983)."""
+        """Add observations [N, d] (Chan, Golub and LeVeque, 1983)."""
         if not self.active:
             return
         seen = observations.astype(np.float64)
@@ -71,21 +71,21 @@ class Normalisation:
         self._scale = np.where(known, 1.0 / np.sqrt(variances + EPSILON), 1.0)
 
     def apply(self, observations: Observations) -> Observations:
-        """Normalised observations, float32 [N, d]; the very same array if no number is normalised."""
+        """Normalised observations, float32 [N, d]; the input itself if not active."""
         if not self.active:
             return observations
         normal: Observations = np.clip((observations - self._shift) * self._scale, -LIMIT, LIMIT).astype(np.float32)
         return normal
 
     def apply_to_states(self, states: NDArray[np.float32]) -> NDArray[np.float32]:
-        """Product states, float32 [N, d + |Q|], with their observations normalised."""
+        """Product states, float32 [N, d + |Q|], with normalised observations."""
         if not self.active:
             return states
         size = self.size
         return np.concatenate([self.apply(states[:, :size]), states[:, size:]], axis=1)
 
     def weights(self) -> Weights:
-        """Copies of the statistics, named ``normalisation.*``: part of a learner's weights. None if not active."""
+        """Copies of the statistics, named ``normalisation.*``, for a learner's weights; empty if not active."""
         if not self.active:
             return {}
         named = {
@@ -97,10 +97,10 @@ class Normalisation:
         return {f"{_PART}.{name}": array for name, array in named.items()}
 
     def load(self, weights: Mapping[str, NDArray[Any]]) -> Weights:
-        """Go on from the statistics among a learner's weights; all its other weights.
+        """Load the statistics among a learner's weights; returns the other weights.
 
         Raises:
-            PolicyError: if they are missing, damaged, or of other observations.
+            PolicyError: if they are missing, damaged, or for other observations.
         """
         found = part_of(weights, _PART)
         if self.active or found:
@@ -125,7 +125,7 @@ class Normalisation:
 
 
 def stored_normalisation(weights: Mapping[str, NDArray[Any]]) -> tuple[Normalisation | None, Weights]:
-    """The statistics among weights, None if there are none, and all other weights.
+    """The statistics among weights (None if there are none), and the other weights.
 
     Raises:
         PolicyError: if they are damaged.

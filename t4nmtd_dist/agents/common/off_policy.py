@@ -1,4 +1,4 @@
-"""The learner that off-policy agents share: it acts, stores what happens, and trains on batches with peers' values."""
+"""The learner shared by off-policy agents: acts, stores transitions, and trains."""
 
 from __future__ import annotations
 
@@ -24,18 +24,17 @@ from t4nmtd_dist.environments.batched import Observations
 
 Floats = NDArray[np.float32]
 States = NDArray[np.int32]
-STEPS_PER_ITERATION = 10  # of each copy, between two messages to the coordinator
+STEPS_PER_ITERATION = 10  # per environment, between two messages to the coordinator
 
 
 class OffPolicyAgent(Protocol):
-    """What tells one off-policy algorithm from another: how it acts, and how a batch changes its networks.
+    """The algorithm-specific part of an off-policy learner.
 
-    The loop it is meant for::
+    Intended use::
 
-        while True:
-            actions = agent.act(states, begun, success)
-            experience.add(..., actions, *step(agent.environment_actions(actions)))
-            agent.update(batch, answers, success)
+        actions = agent.act(states, begun, success)
+        experience.add(..., actions, *step(agent.environment_actions(actions)))
+        agent.update(batch, answers, success)
     """
 
     action_size: int
@@ -44,31 +43,31 @@ class OffPolicyAgent(Protocol):
     """Shape of what ``values`` says of one product state."""
 
     def act(self, states: Floats, begun: NDArray[np.bool_], success: float) -> Floats:
-        """Actions to store [N, A], exploration included.
+        """Actions to store [N, A], with exploration.
 
         Args:
             states: product states [N, d + |Q|].
-            begun: the copies that have just begun an attempt [N].
-            success: share of the recent attempts that succeeded.
+            begun: environments that have just begun an attempt [N].
+            success: recent success rate.
         """
 
     def environment_actions(self, actions: Floats) -> NDArray[np.generic]:
-        """The same actions as the environment takes them."""
+        """Convert stored actions to the environment's action space."""
 
     def update(self, batch: Batch, answers: PeerValues, success: float) -> None:
         """One gradient step.
 
         Args:
-            batch: B experiences.
-            answers: values of peers for some of its rows, to be bootstrapped from.
-            success: share of the recent attempts that succeeded.
+            batch: B transitions.
+            answers: peers' bootstrap values for some rows.
+            success: recent success rate.
         """
 
     def values(self, states: Floats) -> Values:
-        """What a peer in the same process bootstraps from at product states [k, d + |Q|]."""
+        """Bootstrap values at product states [k, d + |Q|], for a peer in this process."""
 
     def critic_weights(self) -> Weights:
-        """Copies of what ``values`` is computed from, as a ``critic`` of the agent loads them."""
+        """Copies of the weights behind ``values``, for ``critic``."""
 
     def critic(self) -> Critic:
         """A critic of the same shape, on the CPU."""
@@ -77,34 +76,27 @@ class OffPolicyAgent(Protocol):
         """Copies of all parameters by name."""
 
     def load(self, weights: Arrays) -> None:
-        """Go on from ``weights``.
+        """Load ``weights``.
 
         Raises:
             PolicyError: if names or shapes differ.
         """
 
     def losses(self) -> tuple[float | None, float | None]:
-        """Entropy (nats) and critic loss of the last update; None before the first, or where there is no such thing."""
+        """Entropy (nats) and critic loss of the last update; None before the first, or if undefined."""
 
     def state_dict(self) -> State:
         """Parameters, optimisers and exploration, for a checkpoint."""
 
     def load_state_dict(self, state: State) -> None:
-        """Go on from a ``state``."""
+        """Restore from ``state_dict``."""
 
 
 class OffPolicyLearner:
     """``Learner`` of an off-policy agent.
 
     Args:
-        context: the sub-task and its environments.
-        config: the agent's settings.
-        agent: acts and learns.
-        rng: of the draws of batches; the agent may draw from it, too.
-
-    Attributes:
-        agent: as given.
-        batches: where batches are drawn from.
+        rng: draws batches; the agent may share it.
     """
 
     def __init__(
@@ -124,19 +116,19 @@ class OffPolicyLearner:
         self.peer_steps = self._steps_of_each_peer()
         self._ahead = BatchesAhead(context.observation_size)
         self._begun = np.ones(count, np.bool_)
-        self._owed = 0.0  # updates
+        self._owed = 0.0  # due updates
         self.published = self.replica()
         self.value_shape = agent.value_shape
         self.gradient_steps = 0
         self.version = 0
 
     def _steps_of_each_peer(self) -> int:
-        """Of all peers together as many as the own replay holds."""
+        """The own replay capacity, divided among all peers."""
         peers = len(self._context.task.decomposition.pids) - 1
         return max(1, self.replay_buffer.steps // max(1, peers)) if self.batches.reads_peers else 0
 
     def iterate(self, peers: PeerCritics) -> bool:
-        """Some steps of all copies and the updates that they call for; False while there is no state to start from."""
+        """Step all environments and run the due updates; False while there is no start state."""
         if not self.rollout.begin():
             return False
         for _ in range(STEPS_PER_ITERATION):
@@ -169,11 +161,11 @@ class OffPolicyLearner:
         self.gradient_steps += 1
 
     def _success(self) -> float:
-        """Share of the recent attempts that succeeded; 0 before there are any."""
+        """Recent success rate; 0 before the first attempt ended."""
         return self.rollout.statistics.recent_success or 0.0
 
     def _states(self, observations: Observations, q: States) -> Floats:
-        """Product states, with observations normalised."""
+        """Product states with normalised observations."""
         return product_states(self._normalisation.apply(observations), q, self._context.dfa_states)
 
     def critic_values(self, observations: Observations, q: States) -> Values:
@@ -197,11 +189,11 @@ class OffPolicyLearner:
         self.batches.others = others
 
     def weights(self) -> Weights:
-        """Copies of all parameters, and of the statistics of observations, by name."""
+        """Copies of all parameters and observation statistics by name."""
         return self.agent.weights() | self._normalisation.weights()
 
     def load(self, weights: Arrays, version: int) -> None:
-        """Go on from weights learned before."""
+        """Load trained weights."""
         self.agent.load(self._normalisation.load(weights))
         self.version = version
         self._publish()
@@ -226,7 +218,7 @@ class OffPolicyLearner:
         }
 
     def load_state_dict(self, state: State) -> None:
-        """See ``Learner.load_state_dict``; peers are asked again about the batches that were drawn ahead."""
+        """See ``Learner.load_state_dict``; peers are queried again about the batches drawn ahead."""
         self.replay_buffer.load_state_dict(state["experience"])
         self._normalisation.load(state["normalisation"])
         self.agent.load_state_dict(state["agent"])

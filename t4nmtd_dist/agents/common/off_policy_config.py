@@ -1,4 +1,4 @@
-"""Settings that every off-policy agent has, whatever its algorithm."""
+"""Settings shared by all off-policy agents."""
 
 from __future__ import annotations
 
@@ -8,23 +8,23 @@ from t4nmtd_dist.core.errors import ConfigError
 
 
 class OffPolicyConfig(Protocol):
-    """What ``OffPolicyLearner`` reads of an agent's ``CONFIG``; ``SACConfig`` describes every setting."""
+    """The settings that ``OffPolicyLearner`` reads from an agent's ``CONFIG``; ``SACConfig`` describes them."""
 
     @property
     def num_envs(self) -> int:
-        """Copies of the environment stepped together by one learner."""
+        """Environments per learner, stepped together."""
 
     @property
     def replay_rows(self) -> int:
-        """Experiences kept."""
+        """Replay capacity in transitions."""
 
     @property
     def learning_starts(self) -> int:
-        """Experiences before the first update."""
+        """Transitions before the first update."""
 
     @property
     def batch(self) -> int:
-        """Rows of one update."""
+        """Transitions per update."""
 
     @property
     def updates_per_step(self) -> float:
@@ -32,15 +32,15 @@ class OffPolicyConfig(Protocol):
 
     @property
     def n_step(self) -> int:
-        """Longest return, cut at every change of the DFA state."""
+        """Maximum number of steps in a return; cut at every DFA change."""
 
     @property
     def relabel_share(self) -> float:
-        """Share of a batch that is read in any DFA state of the sub-task."""
+        """Share of a batch read in any DFA state of the sub-task."""
 
     @property
     def peer_share(self) -> float:
-        """Share of a batch from the experience of peers."""
+        """Share of a batch from peers' replay."""
 
     @property
     def success_share(self) -> float:
@@ -48,11 +48,7 @@ class OffPolicyConfig(Protocol):
 
 
 def check_replay(section: str, config: OffPolicyConfig) -> None:
-    """Check that the replay can hold what learning waits for.
-
-    Args:
-        section: of the settings, for the message; "sac".
-        config: the settings.
+    """Check that the replay buffer can hold ``learning_starts`` transitions; ``section`` is for the message.
 
     Raises:
         ConfigError: if it cannot.

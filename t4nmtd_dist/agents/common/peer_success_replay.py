@@ -10,19 +10,19 @@ from t4nmtd_dist.method.rewards import SubtaskTables
 
 
 def target_symbols(tables: SubtaskTables, delta: NDArray[np.int32]) -> Flags:
-    """The symbols that take some DFA state to a target of the sub-task, bool [L]; ``delta`` is int32 [Q, L]."""
+    """Symbols that lead some DFA state to a target, bool [L]; ``delta`` is int32 [Q, L]."""
     hits: Flags = tables.target[np.arange(len(delta))[:, None], delta]
     found: Flags = np.logical_or.reduce(hits, axis=0)
     return found
 
 
 class PeerSuccesses:
-    """The rows of one peer's replay buffer that lead to such a symbol, the step that read it included.
+    """Rows of one peer's replay buffer up to and including a step that reads a target symbol.
 
-    They depend on the buffer's present content alone, so that a resumed run draws the same ones.
+    They depend only on the buffer's current content, so a resumed run draws the same rows.
 
     Args:
-        symbols: which symbols count, bool [L].
+        symbols: target symbols, bool [L].
     """
 
     def __init__(self, symbols: Flags) -> None:
@@ -32,7 +32,7 @@ class PeerSuccesses:
         self._rows: Indices = np.zeros(0, np.int64)
 
     def rows(self, experience: ReplayBuffer) -> Indices:
-        """Their numbers [k], ascending; always call it with the same buffer, which may have grown."""
+        """The row numbers [k], ascending. Every call must pass the same buffer."""
         if not len(self._leads):
             self._leads = np.zeros(len(experience.symbols), np.bool_)
         first = max(self._seen, experience.written - experience.steps)

@@ -1,9 +1,9 @@
-"""Policy intervention: where the value of a state across a sub-task boundary comes from (paper, Algorithm 2).
+"""Policy intervention: the source of a value across a sub-task boundary (paper, Algorithm 2).
 
-A learner that leaves a DFA state hands over to a peer, so the value it bootstraps from is the peer's. There is one
-interface and these ways behind it (docs/decisions/013): ``NoPeers`` (experiment 3: the learner's own critic),
-``LocalPeers`` (same process), ``wire.critic_client.QueryPeers`` (ask the peer's process), ``wire.replica.ReplicaPeers``
-(evaluate a copy of its networks at home), and ``MixedPeers`` (some here, the others elsewhere).
+A learner that leaves a DFA state hands over to a peer and bootstraps from its value. Implementations
+(docs/decisions/013): ``NoPeers`` (experiment 3: own critic), ``LocalPeers`` (same process),
+``wire.critic_client.QueryPeers`` (query the peer's process), ``wire.replica.ReplicaPeers`` (local copy of its
+networks), and ``MixedPeers`` (some local, others remote).
 """
 
 from __future__ import annotations
@@ -24,14 +24,14 @@ RowNumbers = NDArray[np.int64]
 
 @dataclass
 class InterventionCounts:
-    """Rows of critic values since the learner began.
+    """Counts of critic values since the learner began.
 
     Attributes:
-        asked: rows that a peer was to value.
-        answered: rows that were trained with the peer's value.
-        late: rows asked of a peer whose answer had not come when their batch was trained.
-        own_used: rows that fell back to the own critic, the late ones included; ``asked`` less ``answered``.
-        lag_total: sum over answered rows of how many versions the peer was ahead of the networks that answered.
+        asked: rows queried from peers.
+        answered: rows trained with the peer's value.
+        late: rows without an answer at their update.
+        own_used: rows that fell back to the own critic, late ones included; ``asked`` minus ``answered``.
+        lag_total: sum over answered rows of the versions that the answering networks were behind the peer.
     """
 
     asked: int = 0
@@ -41,18 +41,18 @@ class InterventionCounts:
     lag_total: int = 0
 
     def __add__(self, other: InterventionCounts) -> InterventionCounts:
-        """Sums of two counts."""
+        """Sum two counts."""
         names = [each.name for each in fields(self)]
         return InterventionCounts(**{name: getattr(self, name) + getattr(other, name) for name in names})
 
 
 @dataclass(frozen=True)
 class Questions:
-    """Product states whose values are asked, all of one batch.
+    """Value queries of one batch.
 
     Attributes:
-        rows: the asker's own numbers for them, no number twice in a batch [k].
-        pids: whose value of each is wanted [k].
+        rows: row numbers chosen by the caller, unique within a batch [k].
+        pids: peer to query for each row [k].
         observations: float32 [k, d].
         q: DFA states, int32 [k].
     """
@@ -66,7 +66,7 @@ class Questions:
         return len(self.rows)
 
     def by_pid(self) -> dict[str, Questions]:
-        """The questions of every peer."""
+        """The queries, split by peer."""
         names = set(self.pids)
         if len(names) == 1:
             return {self.pids[0]: self}
@@ -79,7 +79,7 @@ class Questions:
 
 @dataclass(frozen=True)
 class PeerValues:
-    """Answers: ``values[i]`` belongs to row ``rows[i]`` of what was asked; rows without an answer are absent.
+    """Answers: ``values[i]`` belongs to query row ``rows[i]``; unanswered rows are absent.
 
     A value is a number (PPO: V), or a pair (SAC: min of the target critics, log pi).
     """
@@ -89,7 +89,7 @@ class PeerValues:
 
     @classmethod
     def joined(cls, answers: list[PeerValues]) -> PeerValues:
-        """Answers one after the other; float32 [0] values if there are none."""
+        """Concatenate answers; values are float32 [0] if there are none."""
         if len(answers) == 1:
             return answers[0]
         if not answers:
@@ -98,9 +98,9 @@ class PeerValues:
 
 
 class PeerCritics(Protocol):
-    """Asked for the values of numbered batches ahead of their training, and for all answers to one when it is trained.
+    """Queried about numbered batches ahead of their updates.
 
-    The loop it is meant for::
+    Intended loop::
 
         for step in rollout:
             peers.ask(batch, questions)  # may be repeated, and for several batches ahead
@@ -109,17 +109,17 @@ class PeerCritics(Protocol):
 
     @property
     def counts(self) -> InterventionCounts:
-        """Rows since the learner began."""
+        """Counts since the learner began."""
 
     def ask(self, batch: int, questions: Questions) -> None:
-        """Ask for values that belong to batch number ``batch``; never waits."""
+        """Query values for batch number ``batch``; never blocks."""
 
     def gather(self, batch: int, patience_s: float = 0.0) -> PeerValues:
-        """The answers to what was asked for ``batch``, once: what has not come within ``patience_s`` never will."""
+        """The answers for ``batch``; call once. Answers not received within ``patience_s`` are lost."""
 
 
 class NoPeers:
-    """``intervention=off``: nobody is asked, so every boundary is bootstrapped with the learner's own critic."""
+    """``intervention=off``: queries nobody, so every boundary bootstraps from the own critic."""
 
     def __init__(self) -> None:
         self.counts = InterventionCounts()
@@ -133,11 +133,11 @@ class NoPeers:
 
 
 class LocalPeers:
-    """Peers in the same process, evaluated directly when a batch is gathered: no lag.
+    """Peers in the same process, evaluated when a batch is gathered: no lag.
 
     Args:
-        critics: by pid, a function from observations [k, d] and DFA states [k] to values [k]. It is looked into anew
-            at every gathering; rows of a pid that it lacks stay without an answer.
+        critics: functions from observations [k, d] and DFA states [k] to values [k], by pid; read at every ``gather``.
+            Rows of a missing pid stay unanswered.
     """
 
     def __init__(self, critics: Mapping[str, CriticValues]) -> None:
@@ -165,7 +165,7 @@ class LocalPeers:
 
 
 def together(asked: list[Questions]) -> dict[str, Questions]:
-    """All questions of every peer as one; of a peer in the order in which they were asked."""
+    """Merge the queries by peer, keeping their order."""
     if not asked:
         return {}
     rows, q = np.concatenate([each.rows for each in asked]), np.concatenate([each.q for each in asked])
@@ -175,10 +175,10 @@ def together(asked: list[Questions]) -> dict[str, Questions]:
 
 @dataclass(frozen=True)
 class MixedPeers:
-    """Some peers in this process, the others elsewhere.
+    """Some peers in this process, the others in other processes.
 
     Attributes:
-        here: the pids that ``near`` answers for; looked into anew at every question.
+        here: pids that ``near`` answers for; checked at every query.
         near: peers in this process.
         far: all others.
     """
@@ -189,7 +189,7 @@ class MixedPeers:
 
     @property
     def counts(self) -> InterventionCounts:
-        """Rows of both kinds of peers."""
+        """Sum of both kinds' counts."""
         return self.near.counts + self.far.counts
 
     def ask(self, batch: int, questions: Questions) -> None:

@@ -1,4 +1,4 @@
-"""Product states: what networks see, an observation followed by the one-hot of the DFA state."""
+"""Product states: network inputs, an observation followed by the one-hot DFA state."""
 
 from __future__ import annotations
 
@@ -12,13 +12,7 @@ States = NDArray[np.int32]
 
 
 def product_states(observations: Observations, q: NDArray[np.integer], dfa_states: int) -> Floats:
-    """Inputs of the networks, float32 [N, d + |Q|].
-
-    Args:
-        observations: float32 [N, d].
-        q: DFA states [N].
-        dfa_states: |Q|.
-    """
+    """Network inputs, float32 [N, d + |Q|], from observations float32 [N, d] and DFA states [N]."""
     rows, size = observations.shape
     joined = np.zeros((rows, size + dfa_states), np.float32)
     joined[:, :size] = observations

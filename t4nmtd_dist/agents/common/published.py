@@ -1,6 +1,6 @@
-"""Copies of a critic: other threads may ask them for values while the original is trained.
+"""Critic copies that other threads can query during training.
 
-A learner answers its peers from one, and a peer may hold one as a replica.
+A learner answers its peers from one; a peer may hold one as a replica.
 """
 
 from __future__ import annotations
@@ -20,16 +20,16 @@ from t4nmtd_dist.agents.weights import Arrays, Weights, check_finite
 
 
 class Critic(Protocol):
-    """Values product states on the CPU; owned by one ``PublishedCritic``."""
+    """Evaluates product states on the CPU; owned by one ``PublishedCritic``."""
 
     def values(self, states: NDArray[np.float32]) -> Values:
-        """What a peer bootstraps from at product states [k, d + |Q|], float32 [k] or [k, 2]."""
+        """Bootstrap values at product states [k, d + |Q|], float32 [k] or [k, 2]."""
 
     def weights(self) -> Weights:
-        """Copies of what values are computed from."""
+        """Copies of the weights behind ``values``."""
 
     def load(self, weights: Arrays) -> None:
-        """Put arrays from ``weights`` into the networks.
+        """Load arrays from ``weights``.
 
         Raises:
             PolicyError: if names or shapes differ.
@@ -37,11 +37,11 @@ class Critic(Protocol):
 
 
 class PublishedCritic:
-    """``PublishedValues`` of one critic, with the statistics of observations that go with it.
+    """``PublishedValues`` of one critic and its observation statistics, both owned by this object.
 
     Args:
-        critic: the copy, owned by this object.
-        normalisation: statistics of its own, to load others into.
+        critic: the copy.
+        normalisation: its statistics.
         dfa_states: |Q|.
     """
 
@@ -56,28 +56,28 @@ class PublishedCritic:
         return cls(critic, context.normalisation(), context.dfa_states)
 
     def weights(self) -> tuple[Weights, int]:
-        """What answers are computed from, statistics of observations included, and its version."""
+        """Weights, observation statistics included, and their version."""
         with self._lock:
             return self._critic.weights() | self._normalisation.weights(), self._version
 
     def load(self, weights: Arrays, version: int) -> None:
-        """Answer from the ``weights`` of another copy from now on.
+        """Load another copy's ``weights``.
 
         Raises:
-            PolicyError: if names or shapes differ; the copy is of no use then.
+            PolicyError: if names or shapes differ; discard the copy then.
             ProtocolError: if they are not finite.
         """
         check_finite(weights)
         self.update(weights, version)
 
     def update(self, weights: Arrays, version: int) -> None:
-        """``load`` for weights of the learner in this process, which are not checked to be finite."""
+        """``load`` without the check for finite values, for weights from this process."""
         with self._lock:
             self._critic.load(self._normalisation.load(weights))
             self._version = version
 
     def values(self, arrays: Arrays) -> tuple[Values, int]:
-        """Values of the product states in a value request (``observation`` [k, d], ``q`` [k]), and the copy's version.
+        """Values for a value request (``observation`` [k, d], ``q`` [k]), and their version.
 
         Raises:
             ProtocolError: if ``observation`` is not finite float32 [k, d] or ``q`` not [k] states of the DFA.

@@ -1,4 +1,4 @@
-"""Exact relabelling: a row of experience read for any DFA state of a sub-task."""
+"""Exact relabelling: reads a replay row in any DFA state of a sub-task."""
 
 from __future__ import annotations
 
@@ -18,16 +18,16 @@ States = NDArray[np.int32]
 
 @dataclass(frozen=True)
 class Reading:
-    """Experiences read for a sub-task: the columns of a batch, and where it hands over.
+    """Replay rows read for a sub-task: columns of a batch, and where it hands over.
 
     Attributes:
         states: product states [B, d + |Q|].
         actions: [B, A].
         rewards: scaled n-step returns [B].
         discounts: of the bootstrap, 0 at terminals [B].
-        next_states: product states that are bootstrapped from [B, d + |Q|].
+        next_states: bootstrap product states [B, d + |Q|].
         q_next: their DFA states [B].
-        boundary: the DFA state changed, to one outside F and E [B].
+        boundary: DFA change to a state outside F and E [B].
     """
 
     states: Floats
@@ -40,7 +40,7 @@ class Reading:
 
     @classmethod
     def joined(cls, parts: Sequence[Reading]) -> Reading:
-        """One after the other."""
+        """Concatenate readings."""
         if len(parts) == 1:
             return parts[0]
         return cls(*(np.concatenate(columns) for columns in zip(*(vars(part).values() for part in parts), strict=True)))
@@ -48,14 +48,13 @@ class Reading:
 
 @dataclass(frozen=True)
 class ExperienceReader:
-    """Reads experience for one sub-task.
+    """Relabels replay rows for one sub-task.
 
     Attributes:
-        tables: of the sub-task.
         delta: the DFA's transition table, int32 [Q, symbols].
         gamma: discount per step.
-        reward_scale: factor on rewards.
-        n_step: longest return.
+        reward_scale: reward factor.
+        n_step: maximum number of steps in a return.
     """
 
     tables: SubtaskTables
@@ -65,7 +64,7 @@ class ExperienceReader:
     n_step: int
 
     def read(self, experience: ReplayBuffer, rows: NDArray[np.int64], q: States) -> Reading:
-        """Rows [B] of an experience, read in the DFA states ``q`` [B]."""
+        """Read rows [B] of a replay buffer in DFA states ``q`` [B]."""
         returns = experience.returns(rows, q, self.tables, self.delta, self.gamma, self.n_step)
         states = len(self.delta)
         return Reading(

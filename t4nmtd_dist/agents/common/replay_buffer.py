@@ -1,9 +1,9 @@
-"""Replay of symbols: experience that can be read for any DFA state (exact relabelling), with n-step returns.
+"""Symbol replay: transitions readable in any DFA state (exact relabelling), with n-step returns.
 
-A row holds what the environment did: <s, a, symbol, s'>. What it means for the task (q', reward, boundary) follows from
-the DFA state in which one reads it, so it is computed when a batch is drawn, never stored. An experience thus serves
-every DFA state in which the sub-task has a transition, and no reward is guessed. It serves the sub-tasks of peers
-likewise (docs/decisions/016): ``since`` hands rows out, ``extend`` takes those of another learner in.
+A row holds what the environment did: <s, a, symbol, s'>. Its task meaning (q', reward, boundary) depends on the DFA
+state it is read in, so it is computed when a batch is drawn. One row thus serves every DFA state of the sub-task with
+exact rewards, and peers' sub-tasks too (docs/decisions/016): ``since`` exports rows, ``extend`` imports another
+learner's.
 """
 
 from __future__ import annotations
@@ -29,14 +29,14 @@ SHARED = ("observations", "next_observations", "actions", "symbols", "terminated
 
 @dataclass(frozen=True)
 class Returns:
-    """n-step returns of a batch, cut at the first change of the DFA state.
+    """n-step returns of a batch, cut at the first DFA change.
 
     Attributes:
         reward: sum of gamma^i r_i, float64 [B], unscaled.
-        discount: gamma^k of the bootstrap after k steps, 0 at terminals, float64 [B].
-        last: rows [B] (flat) whose s' is bootstrapped from.
+        discount: gamma^k after k steps, 0 at terminals, float64 [B].
+        last: flat rows whose s' is the bootstrap state [B].
         q_next: DFA state of the bootstrap, int32 [B].
-        boundary: the DFA state changed, to one outside F and E: the value is the peer's, bool [B].
+        boundary: DFA change to a state outside F and E, so the value is the peer's, bool [B].
     """
 
     reward: NDArray[np.float64]
@@ -47,15 +47,15 @@ class Returns:
 
 
 class RowSet:
-    """Some of the rows, to be drawn from; every change of a row takes constant time.
+    """A set of rows to sample from; adding or removing a row takes constant time.
 
     Args:
-        rows: how many rows there are.
+        rows: number of existing rows.
     """
 
     def __init__(self, rows: int) -> None:
         self._members = np.zeros(rows, np.int64)
-        self._place = np.full(rows, -1, np.int64)  # of a row among the members; -1 for none
+        self._place = np.full(rows, -1, np.int64)  # index of a row in the members, or -1
         self._size = 0
 
     def __len__(self) -> int:
@@ -63,18 +63,18 @@ class RowSet:
 
     @property
     def members(self) -> Indices:
-        """The rows, in the order in which ``draw`` counts them; a view."""
+        """The rows in the order in which ``draw`` indexes them; a view."""
         return self._members[: self._size]
 
     def add(self, rows: Indices) -> None:
-        """Put rows in; those that are there stay."""
+        """Add rows that are not yet members."""
         rows = rows[self._place[rows] < 0]
         places = np.arange(self._size, self._size + len(rows))
         self._members[places], self._place[rows] = rows, places
         self._size += len(rows)
 
     def discard(self, rows: Indices) -> None:
-        """Take those of the rows out that are there; the last member takes the place of each."""
+        """Remove rows that are members; the last member takes the place of each."""
         for row in rows[self._place[rows] >= 0]:
             place, self._size = self._place[row], self._size - 1
             last = self._members[self._size]
@@ -82,21 +82,21 @@ class RowSet:
             self._place[row] = -1
 
     def draw(self, count: int, rng: np.random.Generator) -> Indices:
-        """Members drawn uniformly with replacement [count]; there must be some."""
+        """Draw members uniformly with replacement [count]; the set must not be empty."""
         return self._members[rng.integers(self._size, size=count)]
 
 
 class ReplayBuffer:
-    """A ring of ``steps`` time steps of N copies of the environment; flat row = (step modulo ``steps``) * N + copy.
+    """A ring of ``steps`` time steps of N environments; flat row = (step modulo ``steps``) * N + copy.
 
     Args:
-        steps: time steps kept, at least one.
+        steps: capacity in time steps, at least one.
         count: N.
         observation_size: d.
         action_size: A.
 
     Attributes:
-        origin: another for every object, so that who copies from it notices when it is replaced.
+        origin: unique per object, so that readers notice a replaced buffer.
     """
 
     def __init__(self, steps: int, count: int, observation_size: int, action_size: int) -> None:
@@ -112,18 +112,18 @@ class ReplayBuffer:
         self.ended = np.ones(rows, np.bool_)
         self._written = 0
         self._before_success = RowSet(rows)
-        self._lock = threading.Lock()  # of what a thread that calls ``since`` reads
+        self._lock = threading.Lock()  # guards the data that ``since`` reads from another thread
 
     def __len__(self) -> int:
         return min(self._written, self.steps) * self._count
 
     def alike(self, steps: int) -> ReplayBuffer:
-        """An empty one for rows of the same shapes."""
+        """An empty buffer for rows of the same shapes."""
         return ReplayBuffer(steps, self._count, self.observations.shape[1], self.actions.shape[1])
 
     @property
     def written(self) -> int:
-        """Steps stored so far, those included that the ring has dropped."""
+        """Steps stored so far, overwritten ones included."""
         return self._written
 
     def add(
@@ -137,9 +137,9 @@ class ReplayBuffer:
         ended: Flags,
         reached: Flags,
     ) -> None:
-        """Store one step of all copies; arrays begin with the axis N.
+        """Store one step of all environments; the first axis of every array is N.
 
-        ``ended`` says that the copy's next step belongs to another attempt, ``reached`` that the attempt succeeded.
+        ``ended`` marks the last step of an attempt, ``reached`` a success.
         """
         rows = self.rows_of(self._written, 1)[0]
         self._before_success.discard(rows)
@@ -156,14 +156,14 @@ class ReplayBuffer:
         return ((first + np.arange(steps)) % self.steps)[:, None] * self._count + np.arange(self._count)
 
     def since(self, step: int, most_bytes: int) -> tuple[int, dict[str, NDArray[Any]]]:
-        """Copies of the steps from number ``step`` on that are still kept; for any thread.
+        """Copies of the kept steps from number ``step`` on; thread-safe.
 
         Args:
-            step: steps are counted from 0, those that the ring has dropped included.
-            most_bytes: of what is returned; one step it is at least.
+            step: counted from 0, overwritten steps included.
+            most_bytes: maximum size, but at least one step.
 
         Returns:
-            The number of the first, and the columns named in ``SHARED`` [T, N, ...]; T is 0 if there is none yet.
+            The number of the first step, and the columns named in ``SHARED`` [T, N, ...]; T is 0 if there are none.
         """
         with self._lock:
             first = min(max(step, self._written - self.steps, 0), self._written)
@@ -173,11 +173,11 @@ class ReplayBuffer:
             return first, {name: column[rows] for name, column in columns.items()}
 
     def extend(self, columns: Mapping[str, NDArray[Any]], *, follows: bool) -> None:
-        """Store steps of another learner, of which the DFA state and the successes are not told.
+        """Store steps of another learner, without DFA states and successes.
 
         Args:
-            columns: as from ``since`` of an experience of the same shapes.
-            follows: they come right after those stored last; otherwise all attempts count as ended in between.
+            columns: from ``since`` of a buffer of the same shapes.
+            follows: whether they directly follow the last stored steps; if not, open attempts are marked as ended.
         """
         steps = min(len(columns["symbols"]), self.steps)
         rows = self.rows_of(self._written, steps)
@@ -193,14 +193,14 @@ class ReplayBuffer:
         return {name: getattr(self, name) for name in SHARED}
 
     def leading_to(self, step: int, copy: int) -> Indices:
-        """Rows of the last steps of an attempt up to ``step``, that one first; those dropped by the ring are not."""
+        """Kept rows of the last steps of an attempt up to ``step``, latest first."""
         kept = min(self._written, self.steps) - (self._written - 1 - step)
         rows = (step - np.arange(min(BEFORE_SUCCESS, kept))) % self.steps * self._count + copy
         earlier_attempt = np.flatnonzero(self.ended[rows[1:]])
         return rows[: earlier_attempt[0] + 1] if len(earlier_attempt) else rows
 
     def sample(self, size: int, success_share: float, rng: np.random.Generator) -> Indices:
-        """Row numbers [size]: first a share from the steps before successes, if there are any, the rest uniform."""
+        """Draw row numbers [size]: a share from before successes, if any, the rest uniformly."""
         rows = rng.integers(len(self), size=size)
         wanted = round(size * success_share)
         if wanted and len(self._before_success):
@@ -212,7 +212,7 @@ class ReplayBuffer:
     ) -> Returns:
         """n-step returns of ``rows`` read in DFA states ``q``.
 
-        A return ends early where the DFA state changes, the attempt or the environment ends, or the ring ends.
+        They end early at a DFA change and at the end of the attempt, the episode or the ring.
         """
         size = len(rows)
         reward, discount = np.zeros(size), np.ones(size)
@@ -235,16 +235,16 @@ class ReplayBuffer:
         return Returns(reward, np.where(terminal, 0.0, discount), last, q_next, (q_next != q) & ~terminal)
 
     def state_dict(self) -> dict[str, NDArray[Any]]:
-        """Everything needed to go on, as arrays; views of the filled part, to be written before the next ``add``."""
+        """State as arrays; views of the filled part, to be written before the next ``add``."""
         filled = {name: column[: len(self)] for name, column in self._columns().items()}
         written = np.array(self._written, np.int64)
         return filled | {"written": written, "before_success": self._before_success.members}
 
     def load_state_dict(self, state: Mapping[str, NDArray[Any]]) -> None:
-        """Go on from a ``state``.
+        """Restore from ``state_dict``.
 
         Raises:
-            RunError: if it is of a replay of another capacity, another number of copies or other shapes.
+            RunError: if the capacity, the number of environments or the shapes differ.
         """
         filled = min(int(state["written"]), self.steps) * self._count
         shapes = {name: (filled, *column.shape[1:]) for name, column in self._columns().items()}

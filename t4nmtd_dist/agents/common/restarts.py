@@ -1,4 +1,4 @@
-"""Beginning attempts: the environment's own reset, or a start state that is restored."""
+"""Begins attempts: with the environment's reset, or by restoring a start state."""
 
 from __future__ import annotations
 
@@ -15,18 +15,17 @@ MOST_FAILURES = 50
 
 
 class Restarts:
-    """Puts copies of the environment where attempts begin, and drops start states that cannot be restored.
+    """Begins attempts, and drops start states that cannot be restored.
 
     Args:
-        env: the copies.
-        buffer: the role's start states, from which those that cannot be restored are removed.
-        draw: gives this many starts; none if there is nowhere to begin.
-        rng: seeds the copies.
+        env: the environments.
+        buffer: the role's start states.
+        draw: draws the given number of starts; empty if there are none.
+        rng: seeds the environments.
 
     Attributes:
-        seeded: bool [N]; copies whose random generator has been seeded, which their first reset does.
-        rng: as given.
-        tell: called with a line about the first start state that cannot be restored.
+        seeded: environments seeded by their first reset, bool [N].
+        tell: called with a message about the first start state that cannot be restored.
     """
 
     def __init__(
@@ -40,21 +39,21 @@ class Restarts:
         self.seeded: NDArray[np.bool_] = np.zeros(env.count, dtype=np.bool_)
         self.tell: Callable[[str], None] = print
         self._told = False
-        self._failures = 0  # to restore a start state, in a row
+        self._failures = 0  # consecutive failures to restore
         self._restored: StartState | None = None
 
     def begin(self, rows: Rows, observations: Observations) -> list[StartState]:
-        """Begin an attempt in each of these copies.
+        """Begin an attempt in each of these environments.
 
         Args:
-            rows: numbers of the copies [k].
-            observations: float32 [N, d], into which those of ``rows`` are written.
+            rows: their numbers [k].
+            observations: float32 [N, d]; ``rows`` are overwritten.
 
         Returns:
-            Where each begins [k]; empty if there is nowhere to begin.
+            The start of each [k]; empty if there is none.
 
         Raises:
-            EnvError: if one start state after another cannot be restored: it is the environment that fails.
+            EnvError: after ``MOST_FAILURES`` consecutive failures to restore: the environment is at fault.
         """
         starts = list(self._draw(len(rows)))
         if not starts:
@@ -64,7 +63,7 @@ class Restarts:
         return starts if self._restore(rows, starts, np.flatnonzero(~fresh), observations) else []
 
     def _reset(self, rows: Rows, observations: Observations) -> None:
-        """The environment's own reset; a copy's first one seeds its random generator."""
+        """Reset environments; the first reset of each seeds its generator."""
         for part, first in ((rows[~self.seeded[rows]], True), (rows[self.seeded[rows]], False)):
             if len(part):
                 seed = int(self.rng.integers(2**31)) if first else None
@@ -72,17 +71,17 @@ class Restarts:
                 self.seeded[part] = True
 
     def _restore(self, rows: Rows, starts: list[StartState], places: Rows, observations: Observations) -> bool:
-        """Restore the copies ``rows[places]``, all at once if possible; a start that fails is replaced in ``starts``.
+        """Restore ``rows[places]``, together if possible; replaces failing starts in ``starts``.
 
         Returns:
-            False if none is left to replace it.
+            False if there is no replacement.
         """
         if not len(places):
             return True
         try:
             self._restore_all(rows[places], [starts[place] for place in places], observations)
             return True
-        except Exception:  # whatever an environment makes of a state from elsewhere
+        except Exception:  # environments may raise anything for a foreign state
             return all(self._restore_one(rows, starts, place, observations) for place in places)
 
     def _restore_all(self, rows: Rows, starts: list[StartState], observations: Observations) -> None:
@@ -108,7 +107,7 @@ class Restarts:
         return True
 
     def _drop(self, start: StartState, error: Exception) -> None:
-        """Remove a start state that cannot be restored; report the first."""
+        """Remove an unusable start state; report the first."""
         self._failures += 1
         if self._failures >= MOST_FAILURES:
             raise EnvError(

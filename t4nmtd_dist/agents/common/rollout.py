@@ -1,4 +1,4 @@
-"""The rollout of one role in N copies of the environment (paper, Algorithm 2, without learning)."""
+"""Rollout of one role in N environments (paper, Algorithm 2, without learning)."""
 
 from __future__ import annotations
 
@@ -21,17 +21,17 @@ from t4nmtd_dist.method.start_states import InitialStateBuffer
 
 @dataclass(frozen=True)
 class RolloutStep:
-    """One step of all N copies, as experience <s, q, a, reward, s', q'>.
+    """One step of all N environments, as transitions <s, q, a, reward, s', q'>.
 
     Attributes:
         reward: shaped reward, unscaled, float64 [N].
         next_observations: float32 [N, d], before any restart.
         q_next: int32 [N], before any restart.
-        changed: the DFA moved to another state.
-        terminal: F, E or an environment that ended: the critic's value of s' is 0.
-        ended: the attempt is over; the copy has begun another.
-        symbols: what the DFA read, int64 [N].
-        terminated: the environment ended.
+        changed: the DFA state changed.
+        terminal: F, E, or the environment terminated: the value of s' is 0.
+        ended: the attempt ended; the environment has begun another.
+        symbols: symbols read by the DFA, int64 [N].
+        terminated: the environment terminated.
         reached: a target was reached.
     """
 
@@ -48,10 +48,10 @@ class RolloutStep:
 
 @dataclass
 class Progress:
-    """What the coordinator must hear of: DFA changes and failed attempts in order, and start states for others.
+    """News for the coordinator: DFA changes, failed attempts, and start states, in order.
 
     Attributes:
-        starts: (q', snapshot) of states that are handed over.
+        starts: (q', snapshot) of states handed over.
     """
 
     changes: list[Change] = field(default_factory=list)
@@ -59,21 +59,21 @@ class Progress:
 
 
 class Rollout:
-    """N copies of the environment, each always within an attempt of one role.
+    """N environments, each always within an attempt of one role.
 
-    Where the method lets another role continue (``Ending.CHOOSE``), the role's part is over and the copy restarts.
+    On ``Ending.CHOOSE``, the attempt ends and the environment restarts.
 
     Args:
-        env: the copies; every one of their steps is counted in ``interactions``, replayed ones too.
-        reader: symbols of the DFA from the environment's labels.
-        method: says where attempts start and end, and what is handed over.
-        role: the name of the role that acts.
+        env: the environments; ``interactions`` counts all their steps, replayed ones included.
+        reader: maps labels to DFA symbols.
+        method: decides where attempts start and end, and which states are handed over.
+        role: name of the acting role.
         buffer: its start states.
-        rng: source of randomness.
+        rng: random generator.
 
     Attributes:
-        observations: float32 [N, d] now.
-        q: DFA states int32 [N] now.
+        observations: current, float32 [N, d].
+        q: current DFA states, int32 [N].
         statistics: of attempts.
         interactions: environment steps.
     """
@@ -100,39 +100,39 @@ class Rollout:
         self.statistics = AttemptStatistics()
 
     def report_to(self, tell: Callable[[str], None]) -> None:
-        """Tell ``tell`` of the first start state that cannot be restored."""
+        """Pass ``tell`` a message about the first start state that cannot be restored."""
         self._restarts.tell = tell
 
     def take_progress(self) -> Progress:
-        """What happened since the last call."""
+        """The progress since the last call."""
         taken, self.progress = self.progress, Progress()
         return taken
 
     def begin(self) -> bool:
-        """Start the first attempt of every copy, if that has not been done; False while there is no start state."""
+        """Begin every environment's first attempt, once; False while there is no start state."""
         if not self._begun:
             self._begun = self._start(np.arange(self._env.count))
         return self._begun
 
     def step(self, actions: NDArray[Any]) -> RolloutStep:
-        """Act in every copy, move the DFA, and begin again where an attempt is over.
+        """Act in every environment, advance the DFA, and restart ended attempts.
 
         Raises:
-            EnvError: if no attempt can begin any more.
+            EnvError: if no attempt can begin.
         """
         step = self._transition(actions)
         self._report_changes(step)
         self._count_endings(step)
         self._hand_over(step)
         self.observations[:] = step.next_observations
-        self.q = step.q_next.copy()  # restarts write into it; the step keeps its own
+        self.q = step.q_next.copy()  # a copy: restarts overwrite it
         self._steps_in_q[step.changed] = 0
         if step.ended.any() and not self._start(np.flatnonzero(step.ended)):
             raise EnvError("no attempt can begin any more: no start state that there was could be restored")
         return step
 
     def _transition(self, actions: NDArray[Any]) -> RolloutStep:
-        """<s, q, a> -> <r, s', q'>, and whether it ends the attempt."""
+        """Step the environments and the DFA."""
         tables, q = self._role.tables, self.q
         env_step = self._env.step(actions)
         self.interactions += self._env.count
@@ -155,9 +155,9 @@ class Rollout:
         )
 
     def _report_changes(self, step: RolloutStep) -> None:
-        """Every change of the DFA state and every end of an attempt, for the update of Q."""
+        """Report DFA changes and ends of attempts, for the update of Q."""
         for row in np.flatnonzero(step.changed | step.ended):
-            lost = step.terminal[row] and not self._role.tables.terminal[step.q_next[row]]  # no way on: no progress
+            lost = step.terminal[row] and not self._role.tables.terminal[step.q_next[row]]  # a dead end is no progress
             counts = bool(step.changed[row] and not lost)
             q_next, reward = (int(step.q_next[row]), float(step.reward[row])) if counts else (NO_TARGET, 0.0)
             self.progress.changes.append(Change(int(self.q[row]), q_next, int(self._steps_in_q[row]), reward))
@@ -175,14 +175,14 @@ class Rollout:
             endings.timeouts += int((failed & ~step.terminal & ~stranded).sum())
 
     def _hand_over(self, step: RolloutStep) -> None:
-        """Snapshots of the states from which another attempt may start."""
+        """Snapshot the states handed over."""
         handed = np.flatnonzero(self._method.hands_over(self._role.name, self.q, step.q_next) & ~step.terminal)
         if len(handed):
             states = self._env.snapshot(handed)
             self.progress.starts += [(int(step.q_next[row]), s) for row, s in zip(handed, states, strict=True)]
 
     def _start(self, rows: Rows) -> bool:
-        """Begin an attempt in each of these copies; False if there is nowhere to begin."""
+        """Begin attempts; False if there is no start."""
         before = self._env.replayed
         try:
             starts = self._restarts.begin(rows, self.observations)
@@ -195,7 +195,7 @@ class Rollout:
         return bool(starts)
 
     def state_dict(self) -> State:
-        """Everything that decides how the attempts go on, and all counts, for a checkpoint."""
+        """State and counts of the rollout, for a checkpoint."""
         progress = self.progress
         return {
             "columns": {name: column.copy() for name, column in self._columns().items()},
@@ -210,7 +210,7 @@ class Rollout:
         }
 
     def load_state_dict(self, state: State) -> None:
-        """Go on from a ``state`` of a rollout of the same role in as many copies."""
+        """Restore from the ``state_dict`` of a rollout with the same role and size."""
         for name, column in self._columns().items():
             column[:] = state["columns"][name]
         self._begun = state["begun"]

@@ -1,4 +1,4 @@
-"""Whose value a learner bootstraps from where its sub-task hands over (paper, Algorithm 2, line 12)."""
+"""Selects whose value a learner bootstraps from after a handover (paper, Algorithm 2, line 12)."""
 
 from __future__ import annotations
 
@@ -13,11 +13,11 @@ from t4nmtd_dist.method.protocol import Mask, Method, States
 
 @dataclass(frozen=True)
 class Successors:
-    """Rows across a boundary that do not use the own critic.
+    """Rows across a boundary that do not bootstrap from the own critic.
 
     Attributes:
-        rows: rows whose value is a peer's [k].
-        pids: that peer, for each [k].
+        rows: rows that bootstrap from a peer [k].
+        pids: that peer, for each row [k].
         without_value: rows that bootstrap from 0 [m].
     """
 
@@ -27,14 +27,14 @@ class Successors:
 
 
 def draw_successors(method: Method, role: str, boundary: Mask, q_next: States, rng: np.random.Generator) -> Successors:
-    """Ask the method who inherits each row that crosses a boundary.
+    """Ask the method for the successor of each row that crosses a boundary.
 
     Args:
-        method: its ``successors`` decide.
-        role: whose rows these are.
+        method: decides.
+        role: owner of the rows.
         boundary: rows on which the DFA moved to a state outside F and E [B].
         q_next: that state [B].
-        rng: draws among several.
+        rng: random generator.
     """
     rows = np.flatnonzero(boundary)
     named = dict(zip(rows.tolist(), method.successors(role, q_next[rows], rng), strict=True))

@@ -1,4 +1,4 @@
-"""What a peer asks a critic about: the product states of a value request, checked."""
+"""Validates the product states of a peer's value request."""
 
 from __future__ import annotations
 
@@ -16,11 +16,6 @@ def read_value_request(
     arrays: Mapping[str, NDArray[Any]], observation_size: int, dfa_states: int
 ) -> tuple[Observations, NDArray[Any]]:
     """Observations float32 [k, d] and DFA states, integers [k], of a value request.
-
-    Args:
-        arrays: of the message.
-        observation_size: d.
-        dfa_states: |Q|.
 
     Raises:
         ProtocolError: if ``observation`` is not finite float32 [k, d] or ``q`` not [k] states of the DFA.

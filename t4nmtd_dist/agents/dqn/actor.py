@@ -1,4 +1,4 @@
-"""DQN's actor rebuilt from weights: the greedy action of Q, or an epsilon-greedy one."""
+"""DQN's actor, built from weights: greedy or epsilon-greedy."""
 
 from __future__ import annotations
 
@@ -13,14 +13,10 @@ SAMPLED_EPSILON = 0.05
 
 
 class GreedyActor:
-    """The action of the highest Q, or an epsilon-greedy one.
+    """The greedy action of Q, or an epsilon-greedy one.
 
-    Sampled actions are uniform with probability 0.05 and greedy otherwise: the policy of a learner whose exploration
-    has come down to the default ``epsilon_end``. A softmax over Q would depend on the scale of the rewards.
-
-    Args:
-        hidden: widths of the hidden layers.
-        weights: of Q.
+    Samples with epsilon = 0.05, the learner's policy at the default ``epsilon_end``. A softmax over Q would depend on
+    the reward scale.
 
     Raises:
         PolicyError: if parameters are missing or do not fit.
@@ -41,14 +37,7 @@ class GreedyActor:
 def epsilon_greedy(
     greedy: NDArray[np.int64], actions: int, epsilon: float, rng: np.random.Generator
 ) -> NDArray[np.int64]:
-    """Each action with probability ``epsilon`` replaced by a uniform one.
-
-    Args:
-        greedy: greedy actions [N].
-        actions: how many actions there are.
-        epsilon: probability of a uniform action.
-        rng: source of randomness.
-    """
+    """Replace each greedy action [N] with a uniform one with probability ``epsilon``."""
     uniform = rng.integers(actions, size=len(greedy))
     return np.where(rng.random(len(greedy)) < epsilon, uniform, greedy)
 

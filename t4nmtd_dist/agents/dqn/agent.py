@@ -1,4 +1,4 @@
-"""Double DQN for one sub-task, with the peer's value across a sub-task boundary (paper, Algorithm 2, line 12)."""
+"""Double DQN for one sub-task, with the peer's value across a boundary (paper, Algorithm 2, line 12)."""
 
 from __future__ import annotations
 
@@ -29,14 +29,14 @@ def build(context: AgentContext) -> OffPolicyLearner:
 
 
 def initial_networks(inputs: int, actions: int, hidden: tuple[int, ...], seed: int) -> QNetworks:
-    """Untrained networks from a seed."""
+    """Initialise the networks from a seed."""
     with torch.random.fork_rng(devices=[]):
         torch.manual_seed(seed)
         return QNetworks(inputs, actions, hidden)
 
 
 def epsilon_after(interactions: int, config: DQNConfig) -> float:
-    """Share of random actions after some interactions: linear over ``epsilon_steps``, constant from then on."""
+    """Epsilon after some interactions: linear over ``epsilon_steps``, then constant."""
     gone = min(1.0, interactions / config.epsilon_steps)
     return config.epsilon_start + gone * (config.epsilon_end - config.epsilon_start)
 
@@ -45,15 +45,11 @@ class DQN:
     """``OffPolicyAgent`` by double DQN.
 
     Args:
-        networks: Q and Q'; they are moved to the device.
-        config: settings of DQN.
-        device: where the networks are trained.
-        rng: of exploration.
+        networks: Q and Q'; moved to the device.
 
     Attributes:
-        networks: as given.
-        updater: changes the networks by batches.
-        interactions: actions taken so far, which decide epsilon.
+        updater: performs gradient steps.
+        interactions: actions taken so far; determines epsilon.
     """
 
     action_size = 1
@@ -67,7 +63,7 @@ class DQN:
         self.interactions = 0
 
     def act(self, states: Floats, begun: NDArray[np.bool_], success: float) -> Floats:
-        """See ``OffPolicyAgent.act``; numbers of actions, epsilon-greedy."""
+        """See ``OffPolicyAgent.act``; epsilon-greedy action indices."""
         q = self.q_values(states)
         epsilon = epsilon_after(self.interactions, self._config)
         self.interactions += len(states)

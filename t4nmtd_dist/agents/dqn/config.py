@@ -14,23 +14,23 @@ class DQNConfig:
     """Double DQN (van Hasselt et al., 2016) with uniform replay, n-step returns and Polyak-averaged targets.
 
     Attributes:
-        num_envs: copies of the environment stepped together by one learner.
-        steps_per_iteration: steps of each copy between two messages to the coordinator.
-        replay_rows: experiences kept.
-        learning_starts: experiences before the first update.
-        batch: rows of one update.
+        num_envs: environments per learner, stepped together.
+        steps_per_iteration: steps per environment between two messages to the coordinator.
+        replay_rows: replay capacity in transitions.
+        learning_starts: transitions before the first update.
+        batch: transitions per update.
         updates_per_step: updates per interaction.
-        n_step: longest return, cut at every change of the DFA state.
-        relabel_share: share of a batch that is read in a DFA state drawn from all those in which the sub-task has a
-            transition (exact relabelling).
-        peer_share: share of a batch from the experience of peers, read as the sub-task's own (docs/decisions/016).
-        success_share: share of a batch from the last steps before past successes.
+        n_step: maximum length of a return; cut at every DFA change.
+        relabel_share: share of a batch read in a random DFA state with a transition of the sub-task (exact
+            relabelling).
+        peer_share: share of a batch from peers' replay, read as the sub-task's own (docs/decisions/016).
+        success_share: share of a batch from the last steps before successes.
         learning_rate: of Adam.
-        tau: step of the target network.
-        max_grad_norm: longest gradient; a longer one is scaled down.
-        epsilon_start: share of random actions at the start.
-        epsilon_end: share of random actions once ``epsilon_steps`` are over.
-        epsilon_steps: interactions of the learner itself over which epsilon falls, linearly.
+        tau: Polyak step of the target network.
+        max_grad_norm: gradient clipping threshold.
+        epsilon_start: initial epsilon.
+        epsilon_end: epsilon after ``epsilon_steps``.
+        epsilon_steps: the learner's interactions over which epsilon decreases linearly.
     """
 
     num_envs: Count = 8
@@ -57,7 +57,7 @@ EXPLORATION = ("dqn.epsilon_steps",)
 
 
 def check(config: DQNConfig, learner: LearnerConfig) -> None:
-    """Check that the replay can hold what learning waits for.
+    """Check that the replay buffer can hold ``learning_starts`` transitions.
 
     Raises:
         ConfigError: if not.

@@ -1,6 +1,6 @@
 """Double DQN's target (van Hasselt et al., 2016) with policy intervention (T4NMTD, Algorithm 2, line 12), and its loss.
 
-Symbols: Q is the network that acts and learns, Q' its target network.
+Q is the network that acts and learns, Q' its target network.
 """
 
 from __future__ import annotations
@@ -15,16 +15,16 @@ def double_q_target(
 ) -> Tensor:
     """Y = r + gamma^n Q'(s', argmax_a Q(s', a)) [B].
 
-    Where the transition leaves the sub-task, a peer acts in s': the value is the peer's max_a Q'(s', a). Without an
-    answer it is the own one.
+    Across a boundary, a peer acts in s', so the bootstrap value is the peer's max_a Q'(s', a), or the own value without
+    an answer.
 
     Args:
-        reward: r, the sum of the discounted scaled rewards of n steps [B].
+        reward: r, the scaled n-step return [B].
         discount: gamma^n, 0 at terminals [B].
         next_q: Q(s', .) [B, actions].
         next_target_q: Q'(s', .) [B, actions].
-        peer_value: of the peers; any number where no peer was asked [B].
-        answered: where a peer was asked and has answered, bool [B].
+        peer_value: arbitrary without an answer [B].
+        answered: where a peer answered, bool [B].
     """
     best = next_q.argmax(1, keepdim=True)
     own_value = next_target_q.gather(1, best).squeeze(1)
@@ -32,11 +32,11 @@ def double_q_target(
 
 
 def q_loss(q: Tensor, actions: Tensor, target: Tensor) -> Tensor:
-    """Mean Huber loss, with threshold 1, of Q(s, a) - Y.
+    """Mean Huber loss (threshold 1) of Q(s, a) - Y.
 
     Args:
         q: Q(s, .) [B, actions].
-        actions: numbers of the actions taken, int64 [B, 1].
+        actions: action indices, int64 [B, 1].
         target: Y [B].
     """
     return functional.smooth_l1_loss(q.gather(1, actions).squeeze(1), target)

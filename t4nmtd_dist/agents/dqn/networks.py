@@ -15,12 +15,10 @@ from t4nmtd_dist.agents.weights import Arrays, Weights
 
 
 class QNetworks(nn.Module):
-    """Q, named ``actor`` because it acts, and Q', named ``target``, which starts as a copy of Q.
+    """Q, named ``actor`` because it acts, and Q', named ``target``, initially a copy of Q.
 
     Args:
         inputs: length of a product state.
-        actions: number of actions.
-        hidden: widths of the hidden layers of each.
     """
 
     def __init__(self, inputs: int, actions: int, hidden: tuple[int, ...]) -> None:

@@ -1,4 +1,4 @@
-"""Names and shapes of the parameters of DQN's networks. Imports no torch."""
+"""Names and shapes of DQN's parameters. Imports no torch."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from t4nmtd_dist.core.config import TaskConfig
 
 
 def parameter_shapes(config: TaskConfig, inputs: int, actions: int) -> Shapes:
-    """See ``protocol.AgentShapes``; ``actor`` is Q, which acts greedily, and ``target`` is Q'."""
+    """See ``protocol.AgentShapes``; ``actor`` is Q, ``target`` is Q'."""
     hidden = config.learner.hidden
     return mlp_shapes("actor", inputs, hidden, actions) | mlp_shapes("target", inputs, hidden, actions)
 

@@ -17,15 +17,10 @@ from t4nmtd_dist.agents.dqn.networks import QNetworks
 
 
 class DQNUpdate:
-    """Changes the networks by one batch at a time.
-
-    Args:
-        networks: Q and Q'.
-        config: settings of DQN.
-        device: where the networks are.
+    """Performs DQN's gradient steps.
 
     Attributes:
-        loss: Huber loss of the last gradient step, on the device; None before the first.
+        loss: Huber loss of the last step, on the device; None before the first.
     """
 
     def __init__(self, networks: QNetworks, config: DQNConfig, device: str) -> None:
@@ -34,11 +29,11 @@ class DQNUpdate:
         self.loss: Tensor | None = None
 
     def step(self, batch: Batch, answers: PeerValues) -> None:
-        """One gradient step of Q, and a step of Q' towards it.
+        """One gradient step of Q, and a Polyak step of Q' towards it.
 
         Args:
-            batch: B experiences, on the CPU.
-            answers: max_a Q'(s', a) of peers for some of its rows.
+            batch: B transitions, on the CPU.
+            answers: peers' max_a Q'(s', a) for some rows.
         """
         states, actions = batch.states.to(self._device), batch.actions.to(self._device).long()
         loss = q_loss(self._networks.actor(states), actions, self.targets(batch, answers))
@@ -51,7 +46,7 @@ class DQNUpdate:
 
     @torch.no_grad()
     def targets(self, batch: Batch, answers: PeerValues) -> Tensor:
-        """What Q(s, a) is moved towards, on the device [B]; arguments as for ``step``."""
+        """Targets of Q(s, a), on the device [B]; arguments as for ``step``."""
         columns = (batch.rewards, batch.discounts, batch.next_states, *_by_row(answers, len(batch.rewards)))
         rewards, discounts, next_states, peer_values, answered = (each.to(self._device) for each in columns)
         next_q, next_target_q = self._networks.actor(next_states), self._networks.target(next_states)
@@ -71,13 +66,13 @@ class DQNUpdate:
         }
 
     def load_state_dict(self, state: dict[str, Any]) -> None:
-        """Go on from a ``state``."""
+        """Restore from ``state_dict``."""
         self._optimiser.load_state_dict(state["optimiser"])
         self.loss = None if state["loss"] is None else torch.tensor(state["loss"])
 
 
 def _by_row(answers: PeerValues, rows: int) -> tuple[Tensor, Tensor]:
-    """The peers' values, 0 where there is none, and where there is one [B]."""
+    """Peers' values by row, 0 where missing, and a mask of them [B]."""
     values, answered = np.zeros(rows, np.float32), np.zeros(rows, np.bool_)
     values[answers.rows], answered[answers.rows] = answers.values, True
     return torch.from_numpy(values), torch.from_numpy(answered)

@@ -1,4 +1,4 @@
-"""PPO's actor rebuilt from weights: the most likely action, or one drawn from the categorical."""
+"""PPO's actor, built from weights: the most likely or a sampled action."""
 
 from __future__ import annotations
 
@@ -14,11 +14,7 @@ from t4nmtd_dist.agents.weights import Weights
 
 
 class CategoricalActor:
-    """The most likely action of PPO's categorical, or a sample of it.
-
-    Args:
-        hidden: widths of the hidden layers.
-        weights: of the actor.
+    """The most likely action of PPO's categorical policy, or a sample.
 
     Raises:
         PolicyError: if parameters are missing or do not fit.
@@ -30,7 +26,7 @@ class CategoricalActor:
 
     @torch.no_grad()
     def act(self, states: NDArray[np.float32], rng: np.random.Generator | None = None) -> NDArray[Any]:
-        """See ``Actor.act``; sampling by the Gumbel trick."""
+        """See ``Actor.act``; samples by the Gumbel trick."""
         logits: Tensor = self._network(torch.from_numpy(states))
         if rng is None:
             return logits.argmax(-1).numpy()

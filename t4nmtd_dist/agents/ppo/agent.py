@@ -1,4 +1,4 @@
-"""PPO for one sub-task, with the peer's value across a sub-task boundary (paper, Algorithm 2, line 12)."""
+"""PPO for one sub-task, with the peer's value across a boundary (paper, Algorithm 2, line 12)."""
 
 from __future__ import annotations
 
@@ -29,8 +29,8 @@ from t4nmtd_dist.method.protocol import Mask
 
 Floats = NDArray[np.float32]
 GAE_LAMBDA = 0.95
-SUCCESSFUL_ENTROPY_COEFFICIENT = 0.005  # once every attempt succeeds
-PATIENCE_S = 0.2  # for the answers to what was asked in the last steps of a trajectory
+SUCCESSFUL_ENTROPY_COEFFICIENT = 0.005  # at success rate 1
+PATIENCE_S = 0.2  # wait for answers to the queries of a trajectory's last steps
 
 
 def build(context: AgentContext) -> PPOLearner:
@@ -39,11 +39,7 @@ def build(context: AgentContext) -> PPOLearner:
 
 
 class PPOLearner:
-    """Acts in all attempts of a sub-task and learns from them, one trajectory at a time.
-
-    Args:
-        context: the sub-task and its environments.
-        config: settings of PPO.
+    """Learns a sub-task from one trajectory at a time.
 
     Attributes:
         network: actor and critic.
@@ -71,7 +67,7 @@ class PPOLearner:
         return self._update.gradient_steps
 
     def iterate(self, peers: PeerCritics) -> bool:
-        """Collect one trajectory and learn from it; False while there is no state to start from."""
+        """Collect one trajectory and learn from it; False while there is no start state."""
         if not self.rollout.begin():
             return False
         self.collect(peers)
@@ -80,7 +76,7 @@ class PPOLearner:
 
     @torch.no_grad()
     def collect(self, peers: PeerCritics) -> None:
-        """Fill the trajectory; peers are asked about boundaries as they are crossed."""
+        """Fill the trajectory; queries peers at every boundary crossing."""
         trajectory, rollout = self.trajectory, self.rollout
         for t in range(self._config.rollout):
             self._normalisation.update(rollout.observations)
@@ -92,7 +88,7 @@ class PPOLearner:
             self._ask(t, step.changed & ~step.terminal, peers)
 
     def _act(self, states: Tensor) -> tuple[NDArray[np.int64], Floats]:
-        """Sampled actions [N] and their log-probabilities [N]; sampling by the Gumbel trick."""
+        """Sampled actions [N] and their log-probabilities [N]."""
         log_probs = torch.log_softmax(self.network.actor(states.to(self._context.device)), -1).cpu().numpy()
         actions = np.argmax(log_probs + self._rng.gumbel(size=log_probs.shape), axis=1)
         return actions, log_probs[np.arange(len(actions)), actions]
@@ -117,7 +113,7 @@ class PPOLearner:
             peers.ask(self.version, Questions(rows, successors.pids, observations, q))
 
     def learn(self, peers: PeerCritics) -> None:
-        """Advantages and PPO's epochs over the trajectory."""
+        """Compute advantages and run PPO's epochs over the trajectory."""
         values, next_values = self.bootstrap(peers)
         advantages = generalised_advantages(
             self.trajectory.rewards,
@@ -146,7 +142,7 @@ class PPOLearner:
         return values, bootstrap_values(trajectory, values, own[len(flat) :], boundary_values, answers)
 
     def _entropy_coefficient(self) -> float:
-        """Exploration gives way to exploitation as attempts succeed: linear in the share that does."""
+        """Decreases linearly with the success rate."""
         success = self.rollout.statistics.recent_success or 0.0
         low, high = SUCCESSFUL_ENTROPY_COEFFICIENT, self._config.entropy_coefficient
         return high + (low - high) * success
@@ -158,12 +154,12 @@ class PPOLearner:
 
     @torch.no_grad()
     def critic_values(self, observations: Observations, q: NDArray[np.int32]) -> Values:
-        """V(s, q) of product states, float32 [k]: what peers ask for."""
+        """V(s, q) of product states, float32 [k], for peers."""
         values: Values = self.network.value(self._states(observations, q).to(self._context.device)).cpu().numpy()
         return values
 
     def _states(self, observations: Observations, q: NDArray[np.int32]) -> Tensor:
-        """Product states, with observations normalised."""
+        """Product states with normalised observations."""
         return torch.from_numpy(product_states(self._normalisation.apply(observations), q, self._context.dfa_states))
 
     def replica(self) -> PublishedCritic:
@@ -174,20 +170,20 @@ class PPOLearner:
         self.published.update(weights_of(self.network.critic) | self._normalisation.weights(), self.version)
 
     def learn_from(self, others: Mapping[str, ReplayBuffer]) -> None:
-        """Do nothing: PPO learns from fresh experience of its own policy only."""
+        """Do nothing: PPO is on-policy."""
 
     def weights(self) -> Weights:
-        """Copies of all parameters, and of the statistics of observations, by name."""
+        """Copies of all parameters and observation statistics by name."""
         return weights_of(self.network) | self._normalisation.weights()
 
     def load(self, weights: Arrays, version: int) -> None:
-        """Go on from weights learned before."""
+        """Load trained weights."""
         load_weights(self.network, self._normalisation.load(weights))
         self.version = version
         self._publish()
 
     def state_dict(self) -> State:
-        """See ``Learner.state_dict``; a trajectory is over between two iterations, so it is no part."""
+        """See ``Learner.state_dict``; no trajectory is open between iterations, so none is saved."""
         return {
             "weights": self.weights(),
             "update": self._update.state_dict(),

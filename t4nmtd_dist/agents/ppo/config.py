@@ -10,14 +10,15 @@ from t4nmtd_dist.core.setting_types import Count, NotNegative, Positive
 
 @dataclass(frozen=True)
 class PPOConfig:
-    """PPO (Schulman et al., 2017); Stable-Baselines3's defaults where no reason speaks against them.
+    """PPO (Schulman et al., 2017), based on Stable-Baselines3's defaults.
 
     Attributes:
-        num_envs: copies of the environment stepped together by one learner.
-        rollout: steps of each copy between updates.
-        epochs: passes over the roll-out.
-        minibatch: rows of one gradient step.
-        entropy_coefficient: weight of the entropy bonus of a learner without success.
+        num_envs: environments per learner, stepped together.
+        rollout: steps per environment between updates.
+        epochs: passes over the rollout.
+        minibatch: rows per gradient step.
+        learning_rate: of Adam.
+        entropy_coefficient: weight of the entropy bonus at success rate 0.
     """
 
     num_envs: Count = 16

@@ -1,4 +1,4 @@
-"""PPO's losses (Schulman et al., 2017), and its advantages with policy intervention (T4NMTD, Algorithm 2, line 12)."""
+"""PPO's losses (Schulman et al., 2017), with policy intervention (T4NMTD, Algorithm 2, line 12)."""
 
 from __future__ import annotations
 
@@ -17,18 +17,17 @@ Mask = NDArray[np.bool_]
 def bootstrap_values(
     trajectory: Trajectory, values: Floats, last_values: Floats, boundary_values: Floats, answers: PeerValues
 ) -> Floats:
-    """What each step bootstraps from, float32 [T, N].
+    """Bootstrap value of each step, float32 [T, N].
 
-    Inside an attempt that is V(s_{t+1}). Where the trace is cut, s' is not the next row's state: its value is the
-    peer's where the DFA moved to a state of another sub-task and the peer has answered, else the own critic's. F, E
-    and an environment that ended are worth 0.
+    Inside an attempt: V(s_{t+1}). At a cut: the peer's value of s' if the DFA moved to another sub-task's state and the
+    peer answered, else the own critic's. In F, in E and at environment termination: 0.
 
     Args:
-        trajectory: T steps of N copies.
+        trajectory: T steps of N environments.
         values: V(s_t) [T, N].
         last_values: V of the states after the last step [N].
-        boundary_values: the own critic's values of s' at the cuts that are not terminal, in the order of the rows [k].
-        answers: values of peers, by rows t * N + n.
+        boundary_values: the own critic's values of s' at non-terminal cuts, in row order [k].
+        answers: peers' values, by rows t * N + n.
     """
     next_values = np.concatenate([values[1:], last_values[None]])
     next_values[trajectory.boundary] = boundary_values
@@ -43,10 +42,10 @@ def generalised_advantages(
     """GAE (Schulman et al., 2016), float32 [T, N]: delta_t + gamma lambda A_{t+1}, up to the next cut.
 
     Args:
-        rewards: scaled rewards [T, N].
+        rewards: scaled [T, N].
         values: V(s_t) [T, N].
-        next_values: see ``bootstrap_values`` [T, N].
-        cut: steps after which the trace must not go on [T, N].
+        next_values: from ``bootstrap_values`` [T, N].
+        cut: where the trace stops [T, N].
         gamma: discount.
         gae_lambda: lambda.
     """
@@ -68,10 +67,10 @@ def clipped_surrogate(log_probs: Tensor, old_log_probs: Tensor, advantages: Tens
 
 
 def entropy_of(log_probs: Tensor) -> Tensor:
-    """Mean entropy in nats of categoricals with these log-probabilities [B, actions]."""
+    """Mean entropy in nats of categoricals, from log-probabilities [B, actions]."""
     return -(log_probs.exp() * log_probs).sum(-1).mean()
 
 
 def value_loss(values: Tensor, returns: Tensor) -> Tensor:
-    """E[(V(s) - R)^2], of values and returns [B]."""
+    """E[(V(s) - R)^2] of values and returns [B]."""
     return (values - returns).square().mean()

@@ -1,4 +1,4 @@
-"""PPO's networks: one for the policy's logits, one for the state value."""
+"""PPO's networks for policy logits and state values."""
 
 from __future__ import annotations
 
@@ -15,12 +15,10 @@ from t4nmtd_dist.agents.weights import Arrays, Weights
 
 
 class ActorCritic(nn.Module):
-    """Separate networks for the policy's logits and the state value.
+    """Separate networks for policy logits and state values.
 
     Args:
         inputs: length of a product state.
-        actions: number of actions.
-        hidden: widths of the hidden layers of each.
     """
 
     def __init__(self, inputs: int, actions: int, hidden: tuple[int, ...]) -> None:

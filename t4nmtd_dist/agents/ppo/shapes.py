@@ -1,4 +1,4 @@
-"""Names and shapes of the parameters of PPO's networks. Imports no torch."""
+"""Names and shapes of PPO's parameters. Imports no torch."""
 
 from __future__ import annotations
 

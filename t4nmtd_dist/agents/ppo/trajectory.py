@@ -1,4 +1,4 @@
-"""What PPO learns from at once: some steps of all copies of the environment."""
+"""The rollout that one PPO update learns from."""
 
 from __future__ import annotations
 
@@ -13,17 +13,17 @@ Mask = NDArray[np.bool_]
 
 @dataclass
 class Trajectory:
-    """T steps of N copies; every array begins with the axes [T, N].
+    """T steps of N environments; every array begins with the axes [T, N].
 
     Attributes:
-        states: product states, observations normalised [T, N, d + |Q|].
-        actions: numbers of actions.
-        log_probs: log pi(a|s) when they were drawn.
+        states: product states with normalised observations [T, N, d + |Q|].
+        actions: action indices.
+        log_probs: log pi(a|s) under the acting policy.
         rewards: scaled.
-        terminal: F, E or an environment that ended.
-        cut: the DFA changed its state, or the attempt is over: GAE's trace stops here.
-        boundary: cut and not terminal, so that the value of s' is bootstrapped and not that of the next row.
-        boundary_observations: s' before any restart, as the environment gave it [T, N, d].
+        terminal: F, E, or the environment terminated.
+        cut: the DFA state changed or the attempt ended: GAE's trace stops here.
+        boundary: cut and not terminal: s' needs its own bootstrap value.
+        boundary_observations: raw s' before any restart [T, N, d].
         boundary_q: q' before any restart.
     """
 
@@ -39,7 +39,7 @@ class Trajectory:
 
     @classmethod
     def empty(cls, steps: int, count: int, inputs: int, observation_size: int) -> Trajectory:
-        """Room for a trajectory, to be filled step by step."""
+        """Allocate a trajectory, to be filled step by step."""
         shape = (steps, count)
         return cls(
             states=np.zeros((*shape, inputs), np.float32),

@@ -26,17 +26,14 @@ without reward is not blown up into a policy."""
 
 
 class PPOUpdate:
-    """Changes the networks by PPO's epochs over a trajectory.
+    """Runs PPO's epochs over a trajectory.
 
     Args:
-        network: actor and critic.
-        config: settings of PPO.
-        device: where the network is.
-        rng: orders the rows of an epoch.
+        rng: shuffles the rows of an epoch.
 
     Attributes:
-        gradient_steps: taken so far.
-        losses: entropy (nats) and value loss of the last gradient step, on the device; None before the first.
+        gradient_steps: number of steps taken.
+        losses: entropy (nats) and value loss of the last step, on the device; None before the first.
     """
 
     def __init__(self, network: ActorCritic, config: PPOConfig, device: str, rng: np.random.Generator) -> None:
@@ -46,7 +43,7 @@ class PPOUpdate:
         self.losses: tuple[Tensor, Tensor] | None = None
 
     def epochs(self, trajectory: Trajectory, advantages: Floats, returns: Floats, entropy_coefficient: float) -> None:
-        """All epochs over T * N rows; advantages and returns are flat."""
+        """Run all epochs over T * N rows; advantages and returns are flat."""
         config = self._config
         columns = [column.to(self._device) for column in _columns(trajectory, self._normalised(advantages), returns)]
         for _ in range(config.epochs):
@@ -83,7 +80,7 @@ class PPOUpdate:
         self.losses = entropy.detach(), critic_loss.detach()
 
     def state_dict(self) -> dict[str, Any]:
-        """The optimiser's state and what was counted, for a checkpoint."""
+        """Optimiser, step count and last losses, for a checkpoint."""
         return {
             "optimiser": self._optimiser.state_dict(),
             "gradient_steps": self.gradient_steps,
@@ -91,7 +88,7 @@ class PPOUpdate:
         }
 
     def load_state_dict(self, state: dict[str, Any]) -> None:
-        """Go on from a ``state``."""
+        """Restore from ``state_dict``."""
         self._optimiser.load_state_dict(state["optimiser"])
         self.gradient_steps = state["gradient_steps"]
         losses = state["losses"]
@@ -99,7 +96,7 @@ class PPOUpdate:
 
 
 def _columns(trajectory: Trajectory, advantages: Floats, returns: Floats) -> list[Tensor]:
-    """What a gradient step takes of all T * N rows."""
+    """The T * N rows of a gradient step's inputs."""
     rows = len(advantages)
     columns = (trajectory.states.reshape(rows, -1), trajectory.actions.reshape(-1), trajectory.log_probs.reshape(-1))
     return [torch.from_numpy(column) for column in (*columns, advantages, returns)]

@@ -1,4 +1,4 @@
-"""SAC's actor rebuilt from weights: the mode or a sample of a squashed Gaussian, within the environment's bounds."""
+"""SAC's actor, built from weights: mode or sample of a squashed Gaussian."""
 
 from __future__ import annotations
 
@@ -18,11 +18,10 @@ Floats = NDArray[np.float32]
 
 
 class GaussianActor:
-    """The mode or a sample of SAC's squashed Gaussian, scaled to the actions (``low``, ``high`` among the weights).
+    """Mode or sample of SAC's squashed Gaussian, scaled to the weights ``low`` and ``high``.
 
     Args:
-        hidden: widths of the hidden layers.
-        weights: of the actor, with the bounds of the actions.
+        weights: of the actor, with the action bounds.
 
     Raises:
         PolicyError: if parameters are missing or do not fit.

@@ -1,4 +1,4 @@
-"""SAC for one sub-task, with the peer's actor and critics across a sub-task boundary (paper, Algorithm 2, line 12)."""
+"""SAC for one sub-task, with the peer's actor and critics across a boundary (paper, Algorithm 2, line 12)."""
 
 from __future__ import annotations
 
@@ -36,17 +36,17 @@ def build(context: AgentContext) -> OffPolicyLearner:
 
 
 def updater_on(device: str, state_size: int, action_size: int, settings: SACSettings, seed: int) -> SoftActorCritic:
-    """SAC for a device: the hand-written one on the CPU, plain torch anywhere else."""
+    """SAC for a device: hand-written kernels on the CPU, plain torch elsewhere."""
     if device == "cpu":
         return SACUpdater(state_size, action_size, settings, seed)
     return TorchSACUpdater(state_size, action_size, settings, seed, device)
 
 
 def modest_alpha(config: LearnerConfig, action_size: int) -> float:
-    """The entropy coefficient with which acting uniformly at random for ever is worth as much as one target.
+    """The entropy coefficient at which acting uniformly at random forever is worth as much as one target.
 
-    More would make every learner of a sparse reward prefer noise to its target; the entropy of a uniform action is
-    ln 2 for each of its A numbers in [-1, 1].
+    With a larger one, learners would prefer noise to a sparse target. The entropy of a uniform action is ln 2 for each
+    of its A entries in [-1, 1].
     """
     horizon = 1.0 / max(1.0 - config.gamma, 1.0 / config.attempt_steps)
     return TARGET_REWARD * config.reward_scale / (horizon * action_size * math.log(2.0))
@@ -55,13 +55,8 @@ def modest_alpha(config: LearnerConfig, action_size: int) -> float:
 class SAC:
     """``OffPolicyAgent`` by soft actor-critic.
 
-    Args:
-        context: the sub-task and its environments.
-        config: settings of SAC.
-        rng: of exploration.
-
     Attributes:
-        updater: the networks, and their gradient step.
+        updater: the networks and their gradient step.
     """
 
     value_shape: tuple[int, ...] = (2,)
@@ -98,7 +93,7 @@ class SAC:
     def update(self, batch: Batch, answers: PeerValues, success: float) -> None:
         """See ``OffPolicyAgent.update``.
 
-        A learner that fails goes on exploring: its entropy coefficient falls with its failures, not before them.
+        The floor of the entropy coefficient falls with the failure rate, so a failing learner keeps exploring.
         """
         config = self._config
         values, log_probs = answers.values.reshape(-1, 2).T
@@ -111,7 +106,7 @@ class SAC:
         return np.stack(self.updater.soft_values(states), axis=1)
 
     def critic(self) -> SoftCritic:
-        """See ``OffPolicyAgent.critic``; its weights and noise are its own."""
+        """See ``OffPolicyAgent.critic``; it owns its weights and noise."""
         return SoftCritic(self._inputs, self.action_size, self.updater.settings, next(self._noise_seeds))
 
     def critic_weights(self) -> Weights:
@@ -119,7 +114,7 @@ class SAC:
         return self.updater.critic_weights()
 
     def weights(self) -> Weights:
-        """Copies of all parameters by name, with the bounds that the average actor's actions are stretched to."""
+        """Copies of all parameters by name, with the average actor's action bounds."""
         return self.updater.weights() | {"average.low": self._low, "average.high": self._high}
 
     def load(self, weights: Arrays) -> None:

@@ -13,31 +13,31 @@ from t4nmtd_dist.core.setting_types import Count, CountOrZero, NotNegative, Posi
 
 @dataclass(frozen=True)
 class SACConfig:
-    """SAC (Haarnoja et al., 2018); Stable-Baselines3's defaults where no reason speaks against them.
+    """SAC (Haarnoja et al., 2018), based on Stable-Baselines3's defaults.
 
     Attributes:
-        num_envs: copies of the environment stepped together by one learner.
-        replay_rows: experiences kept.
-        learning_starts: experiences before the first update.
-        batch: rows of one update.
+        num_envs: environments per learner, stepped together.
+        replay_rows: replay capacity in transitions.
+        learning_starts: transitions before the first update.
+        batch: transitions per update.
         updates_per_step: updates per interaction.
-        n_step: longest return, cut at every change of the DFA state.
-        relabel_share: share of a batch that is read in a DFA state drawn from all those in which the sub-task has a
-            transition, often the row's own among them (exact relabelling).
-        peer_share: share of a batch from the experience of peers, read as the sub-task's own (docs/decisions/016).
-        success_share: share of a batch from the last steps before past successes.
-        exploration: ``held`` lets random actions interrupt the policy, each for some steps; ``sinusoid`` drives whole
-            attempts by sinusoids; ``held+sinusoid`` does both, ``none`` neither (docs/decisions/014).
-        exploration_share: share of the attempts of a learner without success in which each of the chosen kinds acts;
-            it falls to 0 with the square of the share of attempts that fail.
-        learning_rate_decay: share of the learning rate that is gone once every attempt succeeds; it goes with the
-            square of the share of attempts that do.
-        initial_alpha: entropy coefficient at the start, tuned from there; 0 for the one with which acting at random
-            for ever is worth as much as one target.
-        alpha_floor: share of ``initial_alpha`` below which that of a learner without success does not fall; it goes
-            to 0 with the square of the share of attempts that fail.
-        actor_average: share of the actor that enters, at each of its updates, the running average of its weights
-            that is evaluated and exported; 1 for the actor as it is (docs/decisions/015).
+        n_step: maximum length of a return; cut at every DFA change.
+        relabel_share: share of a batch read in a random DFA state with a transition of the sub-task, possibly the row's
+            own (exact relabelling).
+        peer_share: share of a batch from peers' replay, read as the sub-task's own (docs/decisions/016).
+        success_share: share of a batch from the last steps before successes.
+        exploration: ``held`` interrupts the policy with held random actions; ``sinusoid`` drives whole attempts by
+            sinusoids; ``held+sinusoid`` does both, ``none`` neither (docs/decisions/014).
+        exploration_share: share of attempts in which each chosen kind acts at success rate 0; falls with the squared
+            failure rate.
+        learning_rate: of the three optimisers.
+        learning_rate_decay: share of the learning rate removed at success rate 1; grows with the squared success rate.
+        initial_alpha: initial entropy coefficient; 0 selects the one at which acting at random forever is worth one
+            target.
+        alpha_floor: lower bound of the entropy coefficient at success rate 0, as a share of its initial value; falls
+            with the squared failure rate.
+        actor_average: share of the actor added to its running average, which is evaluated and exported, at each actor
+            update; 1 means no averaging (docs/decisions/015).
     """
 
     num_envs: Count = 4
@@ -80,7 +80,7 @@ FORMER_KEYS: Mapping[str, str] = {
 
 
 def check(config: SACConfig, learner: LearnerConfig) -> None:
-    """Check that the replay can hold what learning waits for.
+    """Check that the replay buffer can hold ``learning_starts`` transitions.
 
     Raises:
         ConfigError: if not.

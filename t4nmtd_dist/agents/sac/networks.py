@@ -1,8 +1,7 @@
-"""Stacks of small multi-layer perceptrons in one flat buffer.
+"""Stacks of small MLPs in one flat buffer.
 
-SAC needs one actor and two critics. Both are a *stack* of n networks of one shape: n = 1 and n = 2. All parameters of
-a stack lie in one flat tensor, so that Adam and the target update are one pass over memory; the layers are views of
-it. Hidden layers are linear, layer norm where wanted, ReLU.
+A *stack* is n networks of one shape: SAC's actor (n = 1) or critics (n = 2). Layers are views of one flat tensor, so
+that Adam and the target update are one pass over memory. A hidden layer is linear, optional layer norm, ReLU.
 """
 
 from __future__ import annotations
@@ -23,12 +22,12 @@ from t4nmtd_dist.agents.weights import Weights
 from t4nmtd_dist.core.errors import PolicyError
 
 LAYER_NORM_EPSILON = 1e-5
-ALIGNMENT = 16  # floats: every parameter begins at a cache line
+ALIGNMENT = 16  # floats per cache line; every parameter begins at one
 
 
 @dataclass(frozen=True)
 class HiddenLayer:
-    """Views: weight [n, in, out], bias [n, 1, out], and gain and shift [n, out] of the layer norm."""
+    """Views: weight [n, in, out], bias [n, 1, out], and layer norm's gain and shift [n, out]."""
 
     weight: Tensor
     bias: Tensor
@@ -38,7 +37,7 @@ class HiddenLayer:
 
 @dataclass(frozen=True)
 class Layers:
-    """Views of a flat buffer: the parameters of a stack, or their gradients."""
+    """A stack's parameters or gradients, as views of a flat buffer."""
 
     hidden: tuple[HiddenLayer, ...]
     head_weight: Tensor  # [n, outputs, width]
@@ -51,12 +50,12 @@ def _padded(size: tuple[int, ...]) -> int:
 
 
 def flat_length(shape: StackShape) -> int:
-    """Length of the flat buffer of a stack, the gaps that align its layers included."""
+    """Length of a stack's flat buffer, alignment gaps included."""
     return sum(_padded(size) for _, size in stack_shapes(shape))
 
 
 def layers_of(flat: Tensor, shape: StackShape) -> Layers:
-    """The layers of a stack as views of its flat buffer [flat_length]."""
+    """A stack's layers as views of its flat buffer [flat_length]."""
     named, begin = {}, 0
     for name, size in stack_shapes(shape):
         named[name] = flat[begin : begin + math.prod(size)].view(size)
@@ -84,11 +83,10 @@ class Stack:
     """n networks of one shape.
 
     Args:
-        shape: their sizes.
-        generator: draws initial weights and biases uniformly within 1 / sqrt(inputs of the layer), as
-            ``torch.nn.Linear`` does; None leaves them at zero.
-        dtype: float32; float64 in tests of gradients.
-        device: where the parameters lie; they are drawn on the CPU.
+        generator: draws initial parameters uniformly within 1 / sqrt(layer inputs), as ``torch.nn.Linear`` does; None
+            initialises them to zero.
+        dtype: float32; float64 in gradient tests.
+        device: of the parameters, which are drawn on the CPU.
     """
 
     def __init__(
@@ -107,15 +105,15 @@ class Stack:
         self.layers = layers_of(self.flat, shape)
 
     def weights(self) -> Weights:
-        """Copies of all parameters by name, the first axis being the network."""
+        """Copies of all parameters by name; the first axis is the network."""
         here = layers_of(self.flat.cpu(), self.shape)
         return {name: tensor.numpy().copy() for name, tensor in here.named.items()}
 
     def load(self, weights: Mapping[str, NDArray[Any]]) -> None:
-        """Put arrays from ``weights`` into the stack.
+        """Load arrays from ``weights``.
 
         Raises:
-            PolicyError: if names or shapes differ from the stack's.
+            PolicyError: if names or shapes differ.
         """
         named = self.layers.named
         expected = {name: tuple(tensor.shape) for name, tensor in named.items()}
@@ -126,16 +124,16 @@ class Stack:
                 f"weights do not fit the network: {wrong} has shape {found.get(wrong)}, expected {expected.get(wrong)}"
             )
         for name, array in weights.items():
-            named[name].copy_(torch.from_numpy(np.require(array, requirements="W")))  # torch warns of read-only ones
+            named[name].copy_(torch.from_numpy(np.require(array, requirements="W")))  # torch warns of read-only arrays
 
 
 def weights_of_stacks(stacks: Mapping[str, Stack]) -> Weights:
-    """Copies of the parameters of several stacks, named ``part.name``."""
+    """Copies of several stacks' parameters, named ``part.name``."""
     return {f"{part}.{name}": array for part, stack in stacks.items() for name, array in stack.weights().items()}
 
 
 def evaluate_plainly(layers: Layers, inputs: Tensor) -> Tensor:
-    """Outputs [n, rows, outputs] of all networks of a stack on the same inputs [rows, inputs], for autograd."""
+    """Outputs [n, rows, outputs] of a stack's networks on shared inputs [rows, inputs], for autograd."""
     hidden = inputs.expand(len(layers.head_bias), *inputs.shape)
     for layer in layers.hidden:
         hidden = _normalised(layer, torch.baddbmm(layer.bias, hidden, layer.weight)).relu()

@@ -1,4 +1,4 @@
-"""What both implementations of SAC's gradient step hold, in one layout: parameters, optimisers and noise."""
+"""State shared by both implementations of SAC's gradient step: parameters, optimisers and noise."""
 
 from __future__ import annotations
 
@@ -23,13 +23,13 @@ NO_UPDATE = "no update yet: targets are those of the last one"
 
 @dataclass(frozen=True)
 class LastUpdate:
-    """What losses are computed from when somebody asks.
+    """Data of the last update, from which losses are computed on demand.
 
     Attributes:
         errors: Q_i - y of both critics [2, B].
         targets: y [B].
         log_probs: log pi(a|s) of the actor's actions [B].
-        values: min_i Q_i(s, a) of these [B].
+        values: their min_i Q_i(s, a) [B].
         alpha: entropy coefficient of the update.
     """
 
@@ -54,16 +54,13 @@ class LastUpdate:
 
 
 class SACParameters:
-    """Actor and its average, critics, targets, entropy coefficient, the optimisers and the generator of noise.
+    """Actor and its average, critics, targets, entropy coefficient, optimisers and noise generator.
 
-    Initial weights and noise are drawn on the CPU, whatever the device: a seed means the same everywhere.
+    Initial weights and noise are drawn on the CPU, so a seed gives the same ones on every device.
 
     Args:
         state_size: d, the length of a product state.
         action_size: A.
-        settings: learning rates and sizes.
-        seed: seeds weights and noise.
-        device: where the parameters lie.
     """
 
     def __init__(
@@ -77,7 +74,7 @@ class SACParameters:
         self._actor = Stack(actor, self._generator, device=device)
         self._average = Stack(actor, device=device)
         self._average.flat.copy_(self._actor.flat)
-        self._averaged = 0  # actors in the average
+        self._averaged = 0  # number of actors in the average
         self._critics = Stack(critics, self._generator, device=device)
         self._targets = Stack(critics, device=device)
         self._targets.flat.copy_(self._critics.flat)
@@ -100,7 +97,7 @@ class SACParameters:
         return self._optimisers["critics"].steps % self.settings.actor_every == 0
 
     def _average_actor(self) -> None:
-        """To be called after every step of the actor."""
+        """Update the average; call after every actor step."""
         self._averaged += 1
         share = max(self.settings.actor_average, 1.0 / self._averaged)
         self._average.flat.lerp_(self._actor.flat, share)
@@ -134,7 +131,7 @@ class SACParameters:
         for part, stack in self._stacks().items():
             stack.load(part_of(weights, part))
         self._log_alpha.copy_(torch.from_numpy(np.asarray(weights["log_alpha"])))
-        self._averaged = round(1.0 / self.settings.actor_average)  # an average of many, as far as weights tell
+        self._averaged = round(1.0 / self.settings.actor_average)  # weights lack the count; assume many
 
     def optimiser_state(self) -> Weights:
         """See ``SoftActorCritic.optimiser_state``."""
@@ -150,5 +147,5 @@ class SACParameters:
         """See ``SoftActorCritic.load_optimiser_state``."""
         for part, optimiser in self._optimisers.items():
             optimiser.load_state_dict(part_of(state, part))
-        self._averaged = int(state.get("averaged", state["actor.steps"]))  # checkpoints of before lack the first
+        self._averaged = int(state.get("averaged", state["actor.steps"]))  # earlier checkpoints lack "averaged"
         self._generator.set_state(torch.from_numpy(np.asarray(state["generator"], np.uint8)))

@@ -8,17 +8,16 @@ from dataclasses import dataclass
 from t4nmtd_dist.agents.weights import Shapes
 from t4nmtd_dist.core.config import TaskConfig
 
-LAYER_NORM = True  # in the hidden layers of the critics of a learner
+LAYER_NORM = True  # in the critics' hidden layers
 
 
 @dataclass(frozen=True)
 class StackShape:
-    """Sizes of a stack: n networks of one shape that see the same inputs.
+    """Sizes of a stack: ``count`` networks of one shape with the same inputs.
 
     Attributes:
-        count: n, the number of networks.
-        inputs: numbers that all networks of the stack see.
-        hidden: widths of the hidden layers, at least one.
+        inputs: length of the input.
+        hidden: hidden layer widths, at least one.
         outputs: outputs of each network.
         layer_norm: whether hidden layers are normalised before the ReLU.
     """
@@ -31,7 +30,7 @@ class StackShape:
 
 
 def stack_shapes(shape: StackShape) -> Iterator[tuple[str, tuple[int, ...]]]:
-    """Name and shape of every parameter of a stack, in their order in the flat buffer."""
+    """Name and shape of every parameter of a stack, in flat-buffer order."""
     count, width = shape.count, shape.inputs
     for number, out in enumerate(shape.hidden):
         yield f"{number}.weight", (count, width, out)
@@ -45,7 +44,7 @@ def stack_shapes(shape: StackShape) -> Iterator[tuple[str, tuple[int, ...]]]:
 
 
 def actor_shape(inputs: int, actions: int, hidden: tuple[int, ...]) -> StackShape:
-    """The actor: means above log standard deviations of ``actions`` numbers."""
+    """The actor: outputs the means, then the log standard deviations, of ``actions`` numbers."""
     return StackShape(1, inputs, hidden, 2 * actions, layer_norm=False)
 
 

@@ -1,4 +1,4 @@
-"""The part of SAC that answers peers: target critics and the actor whose actions they value."""
+"""SAC's critic for peers: target critics and the actor whose actions they evaluate."""
 
 from __future__ import annotations
 
@@ -14,16 +14,11 @@ from t4nmtd_dist.agents.weights import Arrays, Weights, part_of
 
 
 class SoftCritic:
-    """``common.published.Critic``: (min_i Q'_i(s, a), log pi(a|s)), a drawn from the actor, on the CPU.
+    """``common.published.Critic``: (min_i Q'_i(s, a), log pi(a|s)), a sampled from the actor, on the CPU.
 
     Args:
         state_size: d, the length of a product state.
         action_size: A.
-        settings: sizes of the networks.
-        seed: of initial weights and noise.
-
-    Attributes:
-        generator: draws the noise of the actions.
     """
 
     def __init__(self, state_size: int, action_size: int, settings: SACSettings, seed: int) -> None:

@@ -1,6 +1,6 @@
-"""SAC's policy in torch: a Gaussian squashed by tanh, and its log-probability (Haarnoja et al., 2018, appendix C).
+"""SAC's tanh-squashed Gaussian policy in torch (Haarnoja et al., 2018, appendix C).
 
-The bounds and the 1e-6 in the logarithm are those of Stable-Baselines3.
+The bounds of log std and the 1e-6 in the logarithm are Stable-Baselines3's.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ def squashed(outputs: Tensor, noise: Tensor) -> tuple[Tensor, Tensor]:
     """Actions a = tanh(mean + std * noise) [rows, A] and log pi(a|s) [rows].
 
     Args:
-        outputs: the actor's outputs, means before log standard deviations [rows, 2 A].
+        outputs: the actor's outputs, means then log standard deviations [rows, 2 A].
         noise: standard normal [rows, A].
     """
     mean, log_std = outputs.chunk(2, -1)

@@ -1,8 +1,7 @@
-"""SAC's gradient step in plain torch, for any device: the losses of ``losses``, with their gradients left to autograd.
+"""SAC's gradient step in plain torch, for any device: autograd of ``losses``.
 
-On the CPU ``fast_cpu`` does the same in two thirds of the time; the tests hold the two against each other. Here the
-device is never waited for within an update: a batch goes there as one array, and nothing comes back before it is asked
-for.
+On the CPU, ``fast_cpu`` takes two thirds of the time; tests compare the two. An update never waits for the device: a
+batch is sent as one array, results are fetched on demand.
 """
 
 from __future__ import annotations
@@ -23,7 +22,7 @@ from t4nmtd_dist.agents.sac.updater import Floats, PeerSoftValues, Reals, SACSet
 
 @dataclass(frozen=True)
 class _Given:
-    """A batch on the device: experiences, noise, and what peers have answered (1 in ``answered``) [B, ..]."""
+    """A batch on the device, with noise and peers' answers [B, ..]."""
 
     states: Tensor
     actions: Tensor
@@ -39,7 +38,7 @@ class _Given:
 
 @dataclass(frozen=True)
 class _Last:
-    """``LastUpdate`` while it is still on the device."""
+    """``LastUpdate`` on the device."""
 
     errors: Tensor
     targets: Tensor
@@ -48,7 +47,7 @@ class _Last:
     alpha: Tensor
 
     def fetched(self) -> LastUpdate:
-        """The same in numpy; waits for the device."""
+        """Fetch it as numpy arrays; waits for the device."""
         errors, targets, log_probs, values = (
             each.cpu().numpy() for each in (self.errors, self.targets, self.log_probs, self.values)
         )
@@ -56,7 +55,7 @@ class _Last:
 
 
 def _leaf(tensor: Tensor, gradient: Tensor) -> Tensor:
-    """The same memory as a tensor that autograd differentiates by; derivatives are added to ``gradient``."""
+    """An autograd leaf on the same memory, with its gradient in ``gradient``."""
     leaf = tensor.detach().requires_grad_()
     leaf.grad = gradient
     return leaf
@@ -75,9 +74,6 @@ class TorchSACUpdater(SACParameters):
     Args:
         state_size: d, the length of a product state.
         action_size: A.
-        settings: learning rates and sizes.
-        seed: seeds weights and noise.
-        device: where to compute.
     """
 
     def __init__(self, state_size: int, action_size: int, settings: SACSettings, seed: int, device: str) -> None:
@@ -166,13 +162,13 @@ class TorchSACUpdater(SACParameters):
         return critic_target(given.rewards, given.discounts, own, peers, given.answered > 0, alpha)
 
     def _step_critics(self, given: _Given, targets: Tensor) -> Tensor:
-        """Step the critics; returns their errors Q_i - y [2, B]."""
+        """Step the critics; returns Q_i - y [2, B]."""
         errors = self._values(self._trained_critics, given.states, given.actions) - targets
         self._step("critics", critic_loss(errors))
         return errors.detach()
 
     def _step_actor(self, given: _Given, actions: Tensor, log_probs: Tensor, alpha: Tensor) -> Tensor:
-        """Step the actor, the critics' weights being constants; returns min_i Q_i(s, a) of its actions [B]."""
+        """Step the actor; returns min_i Q_i(s, a) of its actions [B]."""
         values = self._values(self._critics.layers, given.states, actions).amin(0)
         self._step("actor", actor_loss(alpha, log_probs, values))
         return values.detach()

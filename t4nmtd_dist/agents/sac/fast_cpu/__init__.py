@@ -1,1 +1,1 @@
-"""Hand-written kernels of soft actor-critic for the CPU."""
+"""Hand-written CPU kernels for soft actor-critic."""

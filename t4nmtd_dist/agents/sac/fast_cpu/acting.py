@@ -1,4 +1,4 @@
-"""Acting and valuing without autograd, on the CPU."""
+"""Acting and critic evaluation without autograd, on the CPU."""
 
 from __future__ import annotations
 
@@ -13,12 +13,11 @@ from t4nmtd_dist.agents.sac.updater import Floats, Reals
 
 
 class FastActing:
-    """The actor's actions, and what the target critics say of them.
+    """The actor's actions and their target-critic values.
 
     Args:
         actor: stack of one network.
         targets: the target critics.
-        generator: draws the noise of the actions.
     """
 
     def __init__(self, actor: Stack, targets: Stack, generator: torch.Generator) -> None:

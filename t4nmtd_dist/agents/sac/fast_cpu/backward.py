@@ -1,7 +1,7 @@
-"""Hand-written gradients of a stack of networks, from the activations that ``forward.evaluate`` left behind.
+"""Hand-written gradients of a stack, from the activations of ``forward.evaluate``.
 
-Only what SAC's update needs is computed: gradients of weights but none of the inputs, or, in the actor's step,
-gradients of the actions but none of the critics' weights. Tests compare every one with autograd.
+Computes only what SAC needs: weight gradients, or, in the actor's step, the critics' action gradients. Tests compare
+each with autograd.
 """
 
 from __future__ import annotations
@@ -31,9 +31,9 @@ def weight_gradients(
     Args:
         layers: its parameters.
         gradients: views of the flat gradient, overwritten.
-        inputs: what was evaluated [rows, inputs].
-        workspace: the activations of that evaluation; their ``delta`` is overwritten.
-        d_outputs: derivative of the loss by the outputs [n, outputs, rows].
+        inputs: [rows, inputs].
+        workspace: activations of their evaluation; ``delta`` is overwritten.
+        d_outputs: derivative of the loss w.r.t. the outputs [n, outputs, rows].
     """
     top = workspace.layers[-1]
     multiply(d_outputs, top.hidden, gradients.head_weight)
@@ -51,14 +51,14 @@ def weight_gradients(
 
 
 def _through_head(weight: Tensor, d_outputs: Tensor, delta: Tensor) -> None:
-    if weight.shape[1] == 1:  # an outer product: seven times faster than the same as a matrix product
+    if weight.shape[1] == 1:  # an outer product: seven times faster than a matrix product
         torch.mul(d_outputs.transpose(1, 2), weight, out=delta)
     else:
         multiply(d_outputs.transpose(1, 2), weight, delta)
 
 
 def _through_activation(layer: HiddenLayer, gradient: HiddenLayer, activations: LayerActivations) -> None:
-    """Turn ``delta`` from the derivative by the ReLU's output into that by the linear part."""
+    """Backpropagate ``delta`` through ReLU and layer norm, in place."""
     _relu_backward(activations.delta, activations.hidden, 0.0, grad_input=activations.delta)
     if layer.gain is None or layer.shift is None or gradient.gain is None or gradient.shift is None:
         return
@@ -73,18 +73,18 @@ def _through_activation(layer: HiddenLayer, gradient: HiddenLayer, activations: 
 def chosen_input_gradient(
     layers: Layers, workspace: Activations, choice: NDArray[np.integer[Any]], first_input: int
 ) -> NDArray[np.floating[Any]]:
-    """Derivative of every row's *chosen* network's only output by its last inputs.
+    """Derivative of each row's *chosen* network's output with respect to its last inputs.
 
-    Rows are sorted by network, so that each goes back through one network alone: half of the work with two critics.
+    Rows are sorted by network, so each passes through one network only: half the work with two critics.
 
     Args:
         layers: parameters of a stack with one output.
-        workspace: the activations of its evaluation; their ``delta`` is overwritten.
+        workspace: activations of its evaluation; ``delta`` is overwritten.
         choice: the network of each row [rows].
-        first_input: derivatives are by the inputs from this one on.
+        first_input: first input to differentiate by.
 
     Returns:
-        [inputs - first_input, rows], transposed as the outputs are.
+        [inputs - first_input, rows], transposed like the outputs.
     """
     order, groups = _grouped(choice, len(layers.head_bias))
     picked = torch.from_numpy(choice[order] * workspace.rows + order)
@@ -103,7 +103,7 @@ def chosen_input_gradient(
 
 
 def _grouped(choice: NDArray[np.integer[Any]], count: int) -> tuple[NDArray[np.int64], Groups]:
-    """An order that sorts rows by network, and each network with its slice of the sorted rows, empty ones left out."""
+    """An order that sorts rows by network, and each network's slice of it."""
     order = np.argsort(choice, kind="stable")
     ends = np.bincount(choice, minlength=count).cumsum().tolist()
     spans = zip(range(count), [0, *ends[:-1]], ends, strict=True)

@@ -1,8 +1,8 @@
-"""Evaluation of a stack of networks without autograd, by one product per layer.
+"""Evaluates a stack of networks without autograd, with one product per layer.
 
-Activations go to preallocated buffers, from which ``backward`` computes gradients (docs/decisions/012 has what this
-buys). Hidden activations are [n, rows, width]; outputs are *transposed*, [n, outputs, rows], because a product whose
-result has only a few columns is five times slower than the same product with few rows.
+Activations go to preallocated buffers, which ``backward`` reads (docs/decisions/012). Hidden activations are [n, rows,
+width]; outputs are *transposed*, [n, outputs, rows], because a product with few result columns is five times slower
+than one with few rows.
 """
 
 from __future__ import annotations
@@ -20,10 +20,10 @@ from t4nmtd_dist.agents.sac.shapes import StackShape
 
 @dataclass
 class LayerActivations:
-    """What a hidden layer leaves behind: ``linear`` before the layer norm, ``hidden`` after the ReLU.
+    """Activations of a hidden layer: ``linear`` before the layer norm, ``hidden`` after the ReLU.
 
-    Without layer norm both are one tensor. ``statistics`` are mean and 1 / standard deviation per network. ``delta``
-    is room for the gradient of the loss.
+    Without layer norm both are one tensor. ``statistics`` are mean and 1 / standard deviation per network; ``delta`` is
+    the buffer for the loss gradient.
     """
 
     linear: Tensor
@@ -33,12 +33,11 @@ class LayerActivations:
 
 
 class Activations:
-    """Room for one evaluation of a stack on a number of rows.
+    """Buffers for one evaluation of a stack.
 
     Args:
-        shape: the stack's sizes.
-        rows: how many inputs are evaluated at once.
-        dtype: that of the stack.
+        rows: number of inputs.
+        dtype: of the stack.
     """
 
     def __init__(self, shape: StackShape, rows: int, *, dtype: torch.dtype = torch.float32) -> None:
@@ -47,7 +46,7 @@ class Activations:
         self.outputs = torch.empty(shape.count, shape.outputs, rows, dtype=dtype)
 
     def first(self, rows: int) -> Activations:
-        """Views of the first rows; for stacks of one network, where they are contiguous."""
+        """Views of the first rows, for stacks of one network, where they are contiguous."""
         if rows == self.rows:
             return self
         part = object.__new__(Activations)
@@ -72,17 +71,13 @@ def _layer_activations(shape: StackShape, rows: int, width: int, dtype: torch.dt
 
 
 class GrowingWorkspace:
-    """Room for evaluations of any number of rows, one after the other: kept, and replaced by a larger one if needed.
-
-    Args:
-        shape: the stack's sizes.
-    """
+    """Reusable buffers for evaluations of any number of rows."""
 
     def __init__(self, shape: StackShape) -> None:
         self._shape, self._largest = shape, Activations(shape, 1)
 
     def of(self, rows: int) -> Activations:
-        """Room for ``rows`` rows; what the last one held is lost."""
+        """Buffers for ``rows`` rows; invalidates those returned before."""
         if rows > self._largest.rows:
             self._largest = Activations(self._shape, rows)
         return self._largest if rows == self._largest.rows else self._part(rows)
@@ -99,13 +94,13 @@ class GrowingWorkspace:
 
 
 def _repacked(buffer: Tensor, axis: int, rows: int) -> Tensor:
-    """The beginning of a buffer as a contiguous tensor with fewer rows."""
+    """The start of a buffer as a contiguous tensor with fewer rows."""
     size = [rows if number == axis else length for number, length in enumerate(buffer.shape)]
     return buffer.view(-1)[: math.prod(size)].view(size)
 
 
 def evaluate(layers: Layers, inputs: Tensor, workspace: Activations) -> Tensor:
-    """Outputs [n, outputs, rows] of all networks of a stack on inputs [rows, inputs]; they lie in ``workspace``."""
+    """Outputs [n, outputs, rows] of a stack on inputs [rows, inputs], stored in ``workspace``."""
     below = inputs.expand(len(layers.head_bias), *inputs.shape)
     for layer, activations in zip(layers.hidden, workspace.layers, strict=True):
         multiply_add(layer.bias, below, layer.weight, activations.linear)

@@ -1,8 +1,8 @@
-"""Matrix products of a gradient step, by whichever library multiplies faster on this processor.
+"""Matrix products by the faster library for this processor.
 
-torch brings MKL, numpy OpenBLAS. On AMD's Zen 4 OpenBLAS is 5 to 10 % faster on the small products of SAC, which are
-four fifths of an update. The choice depends on the processor's maker alone, not on a measurement, so that two runs on
-one machine are equal bit for bit. Both obey ``OMP_NUM_THREADS``, which the programs set to 1 before they import either.
+torch uses MKL, numpy OpenBLAS. On AMD's Zen 4, OpenBLAS is 5 to 10 % faster on SAC's small products, four fifths of an
+update. The choice depends on the CPU vendor, not on a measurement, so runs on one machine are bitwise equal. Both obey
+``OMP_NUM_THREADS``, which the programs set to 1 before importing either.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ from torch import Tensor
 
 
 def made_by_amd(cpuinfo: Path = Path("/proc/cpuinfo")) -> bool:
-    """Whether the processor is AMD's, as Linux tells; False where it does not tell."""
+    """Whether the processor is AMD's according to Linux; False if unknown."""
     try:
         return "AuthenticAMD" in cpuinfo.read_text(encoding="utf-8", errors="replace")
     except OSError:
@@ -26,7 +26,7 @@ through_numpy = made_by_amd()
 
 
 def multiply(left: Tensor, right: Tensor, out: Tensor) -> None:
-    """Write the products of stacks of matrices [n, i, j] and [n, j, k], or of single ones, to ``out``."""
+    """Write the product of (stacks of) matrices [n, i, j] and [n, j, k] to ``out``."""
     if through_numpy:
         np.matmul(left.numpy(), right.numpy(), out=out.numpy())
     else:
@@ -34,7 +34,7 @@ def multiply(left: Tensor, right: Tensor, out: Tensor) -> None:
 
 
 def multiply_add(bias: Tensor, left: Tensor, right: Tensor, out: Tensor) -> None:
-    """Write ``bias + left @ right`` to ``out`` [n, i, k]; the bias is broadcast."""
+    """Write ``bias + left @ right`` to ``out`` [n, i, k], with ``bias`` broadcast."""
     if through_numpy:
         np.matmul(left.numpy(), right.numpy(), out=out.numpy())
         out.add_(bias)

@@ -1,7 +1,7 @@
 """``sac.squashed_gaussian`` by hand, with the gradient of the actor's loss through it.
 
-All arrays are transposed, [.., rows], as ``forward`` puts them out; numpy, because its calls on so few numbers cost
-half of torch's.
+All arrays are transposed, [.., rows], like ``forward``'s outputs. numpy, because its calls cost half of torch's on such
+small arrays.
 """
 
 from __future__ import annotations
@@ -20,14 +20,14 @@ _HALF_LOG_2_PI = 0.5 * math.log(2 * math.pi)
 
 @dataclass(frozen=True)
 class SquashedSample:
-    """Actions drawn by reparametrisation.
+    """Actions sampled by reparametrisation.
 
     Attributes:
         actions: tanh(mean + std * noise) [A, rows].
-        log_probs: log pi of them [rows].
-        scaled_noise: std * noise, the derivative of the unsquashed action by the log of std [A, rows].
+        log_probs: their log pi [rows].
+        scaled_noise: std * noise, the derivative of the unsquashed action w.r.t. log std [A, rows].
         slope: 1 - actions**2, the derivative of tanh [A, rows].
-        free: where log std is within its bounds, so that it has a gradient [A, rows].
+        free: where log std is unclipped, so that it has a gradient [A, rows].
     """
 
     actions: Reals
@@ -48,7 +48,7 @@ class SquashedSample:
 
 
 def squashed_sample(outputs: Reals, noise: Reals) -> SquashedSample:
-    """Draw actions.
+    """Sample actions.
 
     Args:
         outputs: the actor's outputs, means above log standard deviations [2 A, rows].
@@ -71,18 +71,18 @@ def squashed_sample(outputs: Reals, noise: Reals) -> SquashedSample:
 
 
 def deterministic_actions(outputs: Reals) -> Reals:
-    """The mode's actions tanh(mean) [A, rows] of the actor's outputs [2 A, rows]."""
+    """Mode actions tanh(mean) [A, rows] from the actor's outputs [2 A, rows]."""
     actions: Reals = np.tanh(outputs[: len(outputs) // 2])
     return actions
 
 
 def output_gradient(sample: SquashedSample, d_actions: Reals, d_log_probs: float) -> Reals:
-    """Derivative of a loss by the actor's outputs [2 A, rows].
+    """Derivative of a loss with respect to the actor's outputs [2 A, rows].
 
     Args:
-        sample: what was drawn from them.
-        d_actions: derivative of the loss by the actions, log-probabilities held fixed [A, rows].
-        d_log_probs: derivative by every row's log-probability, the same for all.
+        sample: sampled from these outputs.
+        d_actions: derivative w.r.t. the actions at fixed log-probabilities [A, rows].
+        d_log_probs: derivative w.r.t. every row's log-probability, the same for all.
     """
     size, rows = d_actions.shape
     gradient = np.empty((2 * size, rows), d_actions.dtype)

@@ -1,6 +1,6 @@
-"""One gradient step of soft actor-critic, with gradients written by hand and tested against autograd of ``losses``.
+"""SAC's gradient step with hand-written gradients, tested against autograd of ``losses``.
 
-Every step of it names the loss that it descends. Peers' values replace the own ones as in ``losses.critic_target``.
+Every step names the loss it descends. Peers' values replace the own ones as in ``losses.critic_target``.
 """
 
 from __future__ import annotations
@@ -22,9 +22,9 @@ from t4nmtd_dist.agents.sac.updater import Floats, PeerSoftValues, Reals, SACSet
 
 
 class _Workspace:
-    """Buffers for the update of a batch of a given size; names ending in ``array`` are numpy views of tensors.
+    """Buffers for one batch size; names ending in ``array`` are numpy views of tensors.
 
-    ``inputs`` [2 B, d + A] holds <s, a> above <s', a'>: its columns up to d are what the actor sees.
+    ``inputs`` [2 B, d + A] holds <s, a> above <s', a'>; the first d columns are the actor's inputs.
     """
 
     def __init__(self, rows: int, state_size: int, actor: StackShape, critics: StackShape) -> None:
@@ -42,13 +42,11 @@ class _Workspace:
 
 
 class SACUpdater(SACParameters):
-    """``SoftActorCritic`` for the CPU, with gradients written by hand.
+    """``SoftActorCritic`` for the CPU, with hand-written gradients.
 
     Args:
         state_size: d, the length of a product state.
         action_size: A.
-        settings: learning rates and sizes.
-        seed: seeds weights and noise.
     """
 
     def __init__(self, state_size: int, action_size: int, settings: SACSettings, seed: int) -> None:
@@ -145,7 +143,7 @@ class SACUpdater(SACParameters):
         return errors
 
     def _step_actor(self, workspace: _Workspace, sample: SquashedSample, alpha: float) -> Reals:
-        """Descend ``losses.actor_loss``; returns min_i Q_i(s, a) of the actor's actions [B]."""
+        """Descend ``losses.actor_loss``; returns min_i Q_i(s, a) [B]."""
         rows, layers = workspace.rows, self._critics.layers
         workspace.current_array[:, self._state_size :] = sample.actions.T
         evaluate(layers, workspace.current, workspace.critics)
