@@ -102,7 +102,7 @@ def grouped(paths: Sequence[Path], labels: Sequence[str]) -> dict[str, list[RunC
 def draw(groups: Mapping[str, Sequence[RunCurves]], axes: Sequence[Axis], metrics: Sequence[Metric]) -> Figure:
     """A picture with a row for every metric and a column for every axis, each curve in one colour throughout.
 
-    An interval is cut off where the metric ends: success at 0 and 1, length at 0.
+    The picture ends where the metric does: success at 0 and 1, length at 0. No interval goes beyond.
 
     Raises:
         RunError: if runs of one label have no stretch in common.
