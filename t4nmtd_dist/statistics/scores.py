@@ -180,11 +180,10 @@ def share_solved(
 
 def _share(x: Floats, counted: Mapping[str, Bools], rng: np.random.Generator, draws: int, confidence: float) -> Band:
     """``counted``: by task, whether a run counts at a point [runs, points]."""
-    total = sum(len(runs) for runs in counted.values())
-    value, samples = np.zeros(len(x)), np.zeros((whole("draws", draws, 1), len(x)))
+    counts, samples = np.zeros(len(x)), np.zeros((whole("draws", draws, 1), len(x)))
     for runs in counted.values():
-        value += runs.sum(axis=0) / total
-        samples += resampled_counts(len(runs), draws, rng) @ runs / total
+        counts += runs.sum(axis=0)
+        samples += resampled_counts(len(runs), draws, rng) @ runs
+    total = sum(len(runs) for runs in counted.values())  # divided by last, so that all runs are exactly 1
     low, high = percentiles(samples, confidence)
-    value, low, high = (np.clip(each, 0, 1) for each in (value, np.minimum(low, value), np.maximum(high, value)))
-    return Band(x, value, low, high)
+    return Band(x, counts / total, np.minimum(low, counts) / total, np.maximum(high, counts) / total)
