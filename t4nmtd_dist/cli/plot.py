@@ -102,7 +102,7 @@ def grouped(paths: Sequence[Path], labels: Sequence[str]) -> dict[str, list[RunC
 def draw(groups: Mapping[str, Sequence[RunCurves]], axes: Sequence[Axis], metrics: Sequence[Metric]) -> Figure:
     """A figure with a row per metric and a column per axis; each label keeps its colour.
 
-    Success is clipped to 0..1, length at 0.
+    The picture ends where the metric does: success at 0 and 1, length at 0. No interval goes beyond.
 
     Raises:
         RunError: if runs of one label have no common range.

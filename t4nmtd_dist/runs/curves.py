@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import csv
 import json
-import math
 import tomllib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -20,6 +19,7 @@ from numpy.typing import NDArray
 
 from t4nmtd_dist.core.errors import RunError
 from t4nmtd_dist.runs.directory import CONFIG_FILE, SUMMARY_FILE
+from t4nmtd_dist.statistics.bootstrap import mean_band
 
 Floats = NDArray[np.float64]
 Axis = Literal["interactions", "time"]
@@ -33,7 +33,8 @@ COLUMNS = {
     "return": "mean_return",
 }
 EVALUATIONS = ("metrics/evaluations.csv", "evaluations.csv")
-CONFIDENCE = 0.95
+# Of the bootstrap; a picture needs no more draws.
+SEED, DRAWS = 0, 2_000
 
 
 @dataclass(frozen=True)
@@ -170,42 +171,15 @@ def common_grid(runs: Sequence[RunCurves], axis: Axis) -> Floats:
 
 
 def mean_curve(runs: Sequence[RunCurves], axis: Axis, metric: Metric) -> MeanCurve:
-    """Mean over runs with its 95 % confidence interval, by Student's t at every grid point.
+    """Mean over runs with its 95 % confidence interval, by percentile bootstrap of the runs.
 
-    The interval assumes a normal sample, so that of a success rate may exceed 0 and 1.
+    The interval lies between the lowest and the highest run, so that of a success rate within 0 and 1. The same runs
+    always have the same interval. Of few runs it is too narrow, see ``t4nmtd_dist.statistics.bootstrap``.
 
     Raises:
         RunError: if the runs have no common range.
     """
     grid = common_grid(runs, axis)
     values = np.stack([step_values(run.columns[axis], run.columns[metric], grid) for run in runs])
-    mean = values.mean(axis=0)
-    if len(runs) == 1:
-        return MeanCurve(grid, mean, mean, mean, 1)
-    half = student_t(CONFIDENCE, len(runs) - 1) * values.std(axis=0, ddof=1) / math.sqrt(len(runs))
-    return MeanCurve(grid, mean, mean - half, mean + half, len(runs))
-
-
-def student_t(confidence: float, freedom: int) -> float:
-    """The t with P(|T| <= t) = ``confidence`` for Student's distribution (by bisection).
-
-    Args:
-        confidence: above 0, below 1.
-        freedom: degrees of freedom, at least 1.
-    """
-    low, high = 0.0, math.pi / 2
-    while high - low > 1e-15:
-        middle = (low + high) / 2
-        low, high = (middle, high) if _within(middle, freedom) < confidence else (low, middle)
-    return math.sqrt(freedom) * math.tan(low)
-
-
-def _within(angle: float, freedom: int) -> float:
-    """P(|T| <= sqrt(freedom) tan(angle)), a finite sum (Abramowitz and Stegun, 26.7.3 and 26.7.4)."""
-    sine, cosine = math.sin(angle), math.cos(angle)
-    odd = freedom % 2
-    term, total = cosine**odd, 0.0
-    for power in range(odd, freedom - 1, 2):
-        total += term
-        term *= cosine**2 * (power + 1) / (power + 2)
-    return 2 / math.pi * (angle + sine * total) if odd else sine * total
+    band = mean_band(grid, values, np.random.default_rng(SEED), draws=DRAWS)
+    return MeanCurve(grid, band.value, band.low, band.high, len(runs))
