@@ -71,6 +71,7 @@ class DecompositionConfig:
     Attributes:
         mode: ``objective``, ``literal`` or ``random`` (see ``t4nmtd_dist.method.decomposition.decompose``).
         prune: leave out transitions that no simple path to acceptance takes.
+        error_transitions: transitions into error states count as transitions of a sub-task, as in the paper's wording.
         keep: ``helpful`` merges sub-tasks with equal transitions and, where ``prune`` is on, leaves out those that
             never bring acceptance nearer; ``all`` keeps every sub-task, as in the paper (docs/decisions/019).
         dist: ``shortest`` path to acceptance, or the ``mean`` over all simple paths.
@@ -79,6 +80,7 @@ class DecompositionConfig:
 
     mode: Literal["objective", "literal", "random"] = "objective"
     prune: bool = True
+    error_transitions: bool = False
     keep: Literal["helpful", "all"] = "helpful"
     dist: Literal["shortest", "mean"] = "shortest"
     time_limit: Positive = 20.0
@@ -86,11 +88,19 @@ class DecompositionConfig:
 
 @dataclass(frozen=True)
 class HighLevelConfig:
-    """Q(q, T) and E(Q, q): step size, exploration, and whether a decision's length is discounted."""
+    """The table Q(q, T) and the choice E(Q, q).
+
+    Attributes:
+        alpha: step size.
+        epsilon: share of uniform choices.
+        smdp_discount: discount a decision by its length in steps.
+        learn_failures: attempts that end without a target lower Q(q, T); not in the paper.
+    """
 
     alpha: Share = 0.1
     epsilon: Share = 0.1
     smdp_discount: bool = False
+    learn_failures: bool = True
 
 
 @dataclass(frozen=True)
@@ -106,12 +116,17 @@ class LearnerConfig:
         gamma: discount per step, also the one inside the shaped reward.
         shaping: ``potential`` (potential difference on every step), ``paper`` (only when a target is reached),
             ``subtask`` (10 for a target, 100 for acceptance); docs/decisions/006 and 014 have the measurements.
+        potential: C, the potential of an accepting state.
         error_penalty: taken off the reward of a step into an error state, in any shaping.
         reward_scale: factor on rewards before they reach the critics.
         intervention: where a peer's value comes from (docs/decisions/013): ``query`` asks its process, ``replica``
             evaluates a copy of its networks, and both evaluate peers in the learner's own process directly; ``local``
             knows only the latter, and uses the own critic for all others; ``off`` always uses the own critic.
         attempt_steps: steps after which an attempt is cut (a truncation, the critic bootstraps).
+        stranded_ends: an attempt ends in a DFA state in which its sub-task has no transition; not in the paper.
+        start_states: how B_iota is drawn from: ``balanced`` stores a state once and draws the DFA state first, then a
+            state in it, with the reset as a standing choice; ``entries`` stores what comes and draws uniformly from
+            all entries, the reset being one of them, as in the paper.
         hand_over: which states become start states of the next sub-task: those in which a ``target`` was reached,
             as in the paper, or all in which the DFA changed, so that a critic knows whatever it is asked about.
         hidden: widths of the hidden layers of actor and critic, at least one.
@@ -124,10 +139,13 @@ class LearnerConfig:
     algorithm: str = "auto"
     gamma: Share = 0.99
     shaping: Shaping = "potential"
+    potential: Positive = 100.0
     error_penalty: NotNegative = 0.0
     reward_scale: Positive = 0.01
     intervention: InterventionMode = "query"
     attempt_steps: Count = 300
+    stranded_ends: bool = True
+    start_states: Literal["balanced", "entries"] = "balanced"
     hand_over: Literal["targets", "changes"] = "changes"
     hidden: Widths = (64, 64)
     normalise_observations: Literal["auto", "on", "off"] = "auto"

@@ -105,6 +105,7 @@ def decompose(
     exclusive: ExclusiveGroups = (),
     mode: Mode = "objective",
     prune: bool = True,
+    error_transitions: bool = False,
     keep: Keep = "all",
     order: Sequence[str] = (),
     seed: int = 0,
@@ -129,6 +130,7 @@ def decompose(
         exclusive: groups of propositions that can never hold together.
         mode: how labels become sub-tasks.
         prune: leave out the transitions that no simple path to acceptance takes.
+        error_transitions: deal the transitions into E, too, which no pruning leaves out.
         keep: ``all`` is the rule of the paper; a task's setting is ``helpful`` by default.
         order: of the names in merged sub-tasks.
         seed: of the random decomposition; the other modes do not use it.
@@ -143,6 +145,8 @@ def decompose(
     if mode == "literal":
         dfa.find_edges(deadline)
     goals = _goals(dfa, reduced, prune, deadline)
+    if error_transitions:
+        goals = sorted({*goals, *reduced.failures})
     allowed = allowed_symbols(dfa, exclusive)
     dealt = _dealt(goals, dfa, allowed, literal=mode == "literal", deadline=deadline)
     if mode == "literal" or keep == "all":

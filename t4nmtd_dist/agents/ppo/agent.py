@@ -148,7 +148,8 @@ class PPOLearner:
     def _entropy_coefficient(self) -> float:
         """Exploration gives way to exploitation as attempts succeed: linear in the share that does."""
         success = self.rollout.statistics.recent_success or 0.0
-        low, high = SUCCESSFUL_ENTROPY_COEFFICIENT, self._config.entropy_coefficient
+        high = self._config.entropy_coefficient
+        low = min(SUCCESSFUL_ENTROPY_COEFFICIENT, high)
         return high + (low - high) * success
 
     def losses(self) -> tuple[float | None, float | None]:

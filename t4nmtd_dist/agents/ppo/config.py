@@ -17,7 +17,10 @@ class PPOConfig:
         rollout: steps of each copy between updates.
         epochs: passes over the roll-out.
         minibatch: rows of one gradient step.
-        entropy_coefficient: weight of the entropy bonus of a learner without success.
+        entropy_coefficient: weight of the entropy bonus of a learner without success; it falls to 0.005, if it is not
+            below that, as attempts succeed.
+        advantage_floor: advantages are divided by their standard deviation, but by no less than this, so that the
+            noise of a trajectory without reward is not blown up into a policy.
     """
 
     num_envs: Count = 16
@@ -26,6 +29,7 @@ class PPOConfig:
     minibatch: Count = 256
     learning_rate: Positive = 1e-3
     entropy_coefficient: NotNegative = 0.15
+    advantage_floor: Positive = 0.1
 
 
 CONFIG = PPOConfig
@@ -38,5 +42,4 @@ FORMER_KEYS: Mapping[str, str] = {
     "value_coefficient": "it is fixed at 0.5 now",
     "gae_lambda": "it is fixed at 0.95 now",
     "max_grad_norm": "it is fixed at 0.5 now",
-    "advantage_floor": "it is fixed at 0.1 now",
 }

@@ -36,6 +36,7 @@ class SACConfig:
             for ever is worth as much as one target.
         alpha_floor: share of ``initial_alpha`` below which that of a learner without success does not fall; it goes
             to 0 with the square of the share of attempts that fail.
+        layer_norm: normalise the critics' hidden layers.
         actor_average: share of the actor that enters, at each of its updates, the running average of its weights
             that is evaluated and exported; 1 for the actor as it is (docs/decisions/015).
     """
@@ -55,6 +56,7 @@ class SACConfig:
     learning_rate_decay: Share = 0.0
     initial_alpha: NotNegative = 0.0
     alpha_floor: Share = 1.0
+    layer_norm: bool = True
     actor_average: PositiveShare = 0.005
 
 
@@ -74,7 +76,6 @@ FORMER_KEYS: Mapping[str, str] = {
     "wave_share": 'use sac.exploration = "sinusoid" or "held+sinusoid" with \'sac.exploration_share\'',
     "steps_per_iteration": "it is fixed at 10 now",
     "tau": "it is fixed at 0.005 now",
-    "layer_norm": "critics are always layer-normalised now",
     "hold_share": 'use sac.exploration = "held" or "held+sinusoid" with \'sac.exploration_share\'',
 }
 
