@@ -41,7 +41,6 @@ from coordinator.stuck import StuckDetector
 from t4nmtd_dist.core.errors import ProtocolError
 from t4nmtd_dist.core.invariants import Monotone, require
 from t4nmtd_dist.method.compiled import CompiledTask
-from t4nmtd_dist.method.start_states import InitialStateBuffer
 from t4nmtd_dist.runs.report import solved_text
 from t4nmtd_dist.wire.codec import without_prefix
 from t4nmtd_dist.wire.limits import most_starts
@@ -80,7 +79,7 @@ class CoordinatorState:
         self.task, self.settings = task, settings
         self.method = task.method()
         self.rng = np.random.default_rng([settings.seed, 2])
-        self.records = {pid: LearnerRecord(InitialStateBuffer()) for pid in task.decomposition.pids}
+        self.records = {pid: LearnerRecord(task.start_buffer()) for pid in task.decomposition.pids}
         self.clock = RunClock()
         self._log = EventLog(self.clock)
         self._leasing = Leasing(task, settings, self.records, self.clock, self._log)

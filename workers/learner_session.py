@@ -23,7 +23,6 @@ from t4nmtd_dist.core.errors import PolicyError, ProtocolError
 from t4nmtd_dist.core.state_dict import State
 from t4nmtd_dist.method.compiled import CompiledTask
 from t4nmtd_dist.method.decomposition import Decomposition
-from t4nmtd_dist.method.start_states import InitialStateBuffer
 from t4nmtd_dist.wire.codec import Envelope, without_prefix
 from t4nmtd_dist.wire.messages import Granted, Intervention, LearnerStats, Peer, Sync, SyncReply
 from t4nmtd_dist.wire.progress import newest_starts, pack_progress, unpack_starts
@@ -63,7 +62,7 @@ class LearnerSession:
     ) -> None:
         task = compiled_from(granted)
         self.pid, self.epoch = granted.pid, granted.epoch
-        self.buffer = InitialStateBuffer()
+        self.buffer = task.start_buffer()
         self.method = task.method()
         seed = subtask_seed(granted.seed, granted.pid, granted.epoch)
         self.learner = build_learner(task, granted.pid, self.buffer, self.method, seed=seed, device=device)

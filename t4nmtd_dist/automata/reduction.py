@@ -40,6 +40,12 @@ class ReducedAutomaton:
             if q != target and q not in self.accepting and target not in self.error
         )
 
+    @property
+    def failures(self) -> tuple[Transition, ...]:
+        """The transitions into E from a state that is neither in F nor in E."""
+        ended = self.accepting | self.error
+        return tuple((q, target) for q, target in self.transitions if q not in ended and target in self.error)
+
 
 def allowed_symbols(dfa: DFA, exclusive: ExclusiveGroups = ()) -> TruthTable:
     """Symbols with at most one proposition of each exclusive group, bool (2**|AP|,)."""

@@ -105,6 +105,8 @@ class Inspect:
     """Also draw the automaton into this file."""
     seed: int = 0
     """Seed of the run, which decides how decomposition.mode=random deals the transitions."""
+    preset: str = ""
+    """Settings laid over the task file by name, such as paper."""
     translator: Literal["auto", "mona", "python"] = "auto"
     """How the formula becomes an automaton."""
     set: Annotated[list[str], tyro.conf.UseAppendAction, tyro.conf.arg(metavar="KEY=VALUE")] = field(
@@ -125,7 +127,7 @@ class Inspect:
         if self.summary and (self.full or self.as_json):
             raise ConfigError("--summary leaves out what --full and --json print; give one of the three")
         if self.task is not None:
-            config = load_task(self.task, flags=self.set)
+            config = load_task(self.task, flags=self.set, preset=self.preset)
         else:
             config = formula_task(self.formula or "", self.set)
         summary = True if self.summary else False if self.full else None
@@ -149,6 +151,8 @@ class Config:
     """Name of a task, or the path of a task file."""
     config: Annotated[list[Path], tyro.conf.UseAppendAction] = field(default_factory=list)
     """TOML file laid over the task file; may be repeated."""
+    preset: str = ""
+    """Settings laid over the task file by name, such as paper."""
     set: Annotated[list[str], tyro.conf.UseAppendAction, tyro.conf.arg(metavar="KEY=VALUE")] = field(
         default_factory=list
     )
@@ -160,7 +164,7 @@ class Config:
         from t4nmtd_dist.tasks import from_layers, task_file
         from t4nmtd_dist.tasks.layers import setting_layers
 
-        layers = setting_layers(task_file(self.task), self.config, self.set)
+        layers = setting_layers(task_file(self.task), self.config, self.set, self.preset)
         print(settings_text(from_layers(self.task, layers), layers), end="")
         return 0
 

@@ -70,6 +70,7 @@ class DecompositionConfig:
     Attributes:
         mode: ``objective``, ``literal`` or ``random`` (see ``t4nmtd_dist.method.decomposition.decompose``).
         prune: drop transitions on no simple path to acceptance.
+        error_transitions: assign transitions into error states to sub-tasks as well, as the paper's wording does.
         keep: ``helpful`` merges sub-tasks with equal transitions and, with ``prune``, drops those that never reduce the
             distance to acceptance; ``all`` keeps every sub-task, as in the paper (docs/decisions/019).
         dist: ``shortest`` path to acceptance, or the ``mean`` over all simple paths.
@@ -78,6 +79,7 @@ class DecompositionConfig:
 
     mode: Literal["objective", "literal", "random"] = "objective"
     prune: bool = True
+    error_transitions: bool = False
     keep: Literal["helpful", "all"] = "helpful"
     dist: Literal["shortest", "mean"] = "shortest"
     time_limit: Positive = 20.0
@@ -85,11 +87,19 @@ class DecompositionConfig:
 
 @dataclass(frozen=True)
 class HighLevelConfig:
-    """Step size, exploration and discounting of Q(q, T) and E(Q, q)."""
+    """The table Q(q, T) and the choice E(Q, q).
+
+    Attributes:
+        alpha: step size.
+        epsilon: share of uniform choices.
+        smdp_discount: discount a decision by its length in steps.
+        learn_failures: attempts that miss their targets lower Q(q, T); not in the paper.
+    """
 
     alpha: Share = 0.1
     epsilon: Share = 0.1
     smdp_discount: bool = False
+    learn_failures: bool = True
 
 
 @dataclass(frozen=True)
@@ -104,12 +114,17 @@ class LearnerConfig:
         gamma: discount per step, also used in the shaped reward.
         shaping: ``potential`` (potential difference on every step), ``paper`` (only at targets), ``subtask`` (10 for a
             target, 100 for acceptance); measured in docs/decisions/006 and 014.
+        potential: C, the potential of accepting states.
         error_penalty: subtracted from the reward of a step into an error state.
         reward_scale: reward factor for the critics.
         intervention: source of a peer's value (docs/decisions/013): ``query`` asks its process, ``replica`` evaluates a
             copy of its networks; both evaluate peers in this process directly. ``local`` does only the latter and
             otherwise uses the own critic; ``off`` always does.
         attempt_steps: maximum length of an attempt (a truncation: the critic bootstraps).
+        stranded_ends: end an attempt in a DFA state where its sub-task has no transition; not in the paper.
+        start_states: ``balanced`` stores a state once and draws a DFA state, then a state in it, with the reset as a
+            standing choice; ``entries`` stores duplicates and draws uniformly from all entries, one of which is the
+            reset, as in the paper.
         hand_over: which states become start states of the next sub-task: those at a ``target``, as in the paper, or at
             any DFA change, so that critics are trained on all states they are queried about.
         hidden: hidden layer widths of actor and critic, at least one.
@@ -122,10 +137,13 @@ class LearnerConfig:
     algorithm: str = "auto"
     gamma: Share = 0.99
     shaping: Shaping = "potential"
+    potential: Positive = 100.0
     error_penalty: NotNegative = 0.0
     reward_scale: Positive = 0.01
     intervention: InterventionMode = "query"
     attempt_steps: Count = 300
+    stranded_ends: bool = True
+    start_states: Literal["balanced", "entries"] = "balanced"
     hand_over: Literal["targets", "changes"] = "changes"
     hidden: Widths = (64, 64)
     normalise_observations: Literal["auto", "on", "off"] = "auto"

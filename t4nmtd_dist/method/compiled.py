@@ -18,6 +18,7 @@ from t4nmtd_dist.core.errors import ConfigError
 from t4nmtd_dist.method.decomposition import Decomposition
 from t4nmtd_dist.method.potential import distances, potentials
 from t4nmtd_dist.method.protocol import Method, method_module
+from t4nmtd_dist.method.start_states import InitialStateBuffer
 
 Translator = Literal["auto", "mona", "python"]
 
@@ -41,6 +42,10 @@ class CompiledTask:
     def terminal(self) -> frozenset[int]:
         """F and E."""
         return self.dfa.accepting | self.dfa.error
+
+    def start_buffer(self) -> InitialStateBuffer:
+        """An empty initial-state buffer for a sub-task."""
+        return InitialStateBuffer(repeats=self.config.learner.start_states == "entries")
 
     def method(self) -> Method:
         """The rules of ``learner.method`` for this task, with an untrained high level."""
@@ -73,4 +78,4 @@ def compile_task(config: TaskConfig, *, translator: Translator = "auto", seed: i
         raise ConfigError(f"task {config.name!r}: no sub-task is available in the initial state; run `t4nmtd inspect`")
     dist = distances(dfa, exclusive=config.exclusive, mode=config.decomposition.dist, deadline=deadline)
     dfa.find_edges(deadline)
-    return CompiledTask(config, dfa, decomposition, dist, potentials(dfa, dist))
+    return CompiledTask(config, dfa, decomposition, dist, potentials(dfa, dist, config.learner.potential))

@@ -105,6 +105,7 @@ def decompose(
     exclusive: ExclusiveGroups = (),
     mode: Mode = "objective",
     prune: bool = True,
+    error_transitions: bool = False,
     keep: Keep = "all",
     order: Sequence[str] = (),
     seed: int = 0,
@@ -129,6 +130,7 @@ def decompose(
         exclusive: groups of propositions that never hold together.
         mode: how labels become sub-tasks.
         prune: drop transitions on no simple path to acceptance.
+        error_transitions: also assign the transitions into E, which pruning keeps.
         keep: ``all`` is the paper's rule; tasks default to ``helpful``.
         order: order of names in merged sub-tasks.
         seed: for the random decomposition only.
@@ -143,6 +145,8 @@ def decompose(
     if mode == "literal":
         dfa.find_edges(deadline)
     goals = _goals(dfa, reduced, prune, deadline)
+    if error_transitions:
+        goals = sorted({*goals, *reduced.failures})
     allowed = allowed_symbols(dfa, exclusive)
     dealt = _dealt(goals, dfa, allowed, literal=mode == "literal", deadline=deadline)
     if mode == "literal" or keep == "all":

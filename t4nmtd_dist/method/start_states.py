@@ -24,16 +24,17 @@ class StartState:
 
 
 class InitialStateBuffer:
-    """Start states of one sub-task: a bounded FIFO per DFA state, without duplicates.
+    """Start states of one sub-task: a bounded FIFO per DFA state.
 
     Every entry has an increasing cursor, so that a remote copy can request new entries only.
 
     Args:
         capacity: maximum number of entries per DFA state; the oldest are dropped first.
+        repeats: store duplicates, as the paper does.
     """
 
-    def __init__(self, capacity: int = CAPACITY) -> None:
-        self._capacity = capacity
+    def __init__(self, capacity: int = CAPACITY, *, repeats: bool = False) -> None:
+        self._capacity, self._repeats = capacity, repeats
         self._entries: dict[int, OrderedDict[bytes, tuple[int, State]]] = {}
         self.cursor = 0
 
@@ -41,9 +42,9 @@ class InitialStateBuffer:
         return sum(len(entries) for entries in self._entries.values())
 
     def add(self, q: int, state: State) -> bool:
-        """Store <state, q>; False if it is a duplicate."""
+        """Store <state, q>; False if it is a duplicate and those are not stored."""
         entries = self._entries.setdefault(q, OrderedDict())
-        key = state.tobytes()
+        key = self._key(state, self.cursor + 1)
         if key in entries:
             return False
         self.cursor += 1
@@ -53,8 +54,14 @@ class InitialStateBuffer:
         return True
 
     def remove(self, q: int, state: State) -> None:
-        """Remove <state, q>, if present."""
-        self._entries.get(q, OrderedDict()).pop(state.tobytes(), None)
+        """Remove <state, q> and its duplicates, if present."""
+        entries = self._entries.get(q, OrderedDict())
+        wanted = state.tobytes()
+        for key in [key for key in entries if key.startswith(wanted)] if self._repeats else [wanted]:
+            entries.pop(key, None)
+
+    def _key(self, state: State, number: int) -> bytes:
+        return state.tobytes() + (number.to_bytes(8, "big") if self._repeats else b"")
 
     def since(self, cursor: int, limit: int) -> list[tuple[int, int, State]]:
         """Up to ``limit`` entries newer than ``cursor`` as (cursor, q, state), oldest first."""
@@ -94,12 +101,12 @@ class InitialStateBuffer:
         """Restore from ``state_dict``."""
         self._entries.clear()
         for number, q, entry in zip(state["cursors"].tolist(), state["q"].tolist(), state["states"], strict=True):
-            self._entries.setdefault(q, OrderedDict())[entry.tobytes()] = (number, entry.copy())
+            self._entries.setdefault(q, OrderedDict())[self._key(entry, number)] = (number, entry.copy())
         self.cursor = state["cursor"]
 
 
 def sample_starts(
-    buffer: InitialStateBuffer, reset_q: int | None, count: int, rng: np.random.Generator
+    buffer: InitialStateBuffer, reset_q: int | None, count: int, rng: np.random.Generator, *, by_entry: bool = False
 ) -> Sequence[StartState]:
     """Draw ``count`` start states: uniform over the DFA states present, then uniform within.
 
@@ -109,10 +116,13 @@ def sample_starts(
             entry of it.
         count: number of starts.
         rng: random generator.
+        by_entry: draw uniformly over all entries instead, the reset being one of them (the paper's B_iota).
 
     Returns:
         The starts; empty if there are none.
     """
+    if by_entry:
+        return _draw_entries(buffer, reset_q, count, rng)
     present = buffer.states_present()
     choices = sorted({*present, *(() if reset_q is None else (reset_q,))})
     if not choices:
@@ -126,3 +136,14 @@ def _draw(
     if q == reset_q and (q not in present or rng.random() < RESET_SHARE):
         return StartState(q, None)
     return StartState(q, buffer.sample(q, rng))
+
+
+def _draw_entries(
+    buffer: InitialStateBuffer, reset_q: int | None, count: int, rng: np.random.Generator
+) -> Sequence[StartState]:
+    resets = [] if reset_q is None else [reset_q]
+    owners = np.array(resets + [q for q in buffer.states_present() for _ in range(buffer.count(q))])
+    if not len(owners):
+        return []
+    drawn = rng.integers(len(owners), size=count)
+    return [StartState(int(owners[i]), None if i < len(resets) else buffer.sample(int(owners[i]), rng)) for i in drawn]

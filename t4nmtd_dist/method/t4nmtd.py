@@ -27,6 +27,7 @@ def decompose(config: TaskConfig, dfa: DFA, *, seed: int, deadline: Deadline | N
         exclusive=config.exclusive,
         mode=settings.mode,
         prune=settings.prune,
+        error_transitions=settings.error_transitions,
         keep=settings.keep,
         order=names_in_order(config.formula),
         seed=seed,
@@ -67,13 +68,16 @@ class T4NMTD:
     def starts(
         self, role: str, buffer: InitialStateBuffer, count: int, rng: np.random.Generator
     ) -> Sequence[StartState]:
-        """Uniform over the DFA states present in B_iota, then uniform within (Algorithm 2, line 1)."""
-        return sample_starts(buffer, self.role(role).reset_q, count, rng)
+        """From B_iota (Algorithm 2, line 1); ``learner.start_states`` says how."""
+        by_entry = self._config.learner.start_states == "entries"
+        return sample_starts(buffer, self.role(role).reset_q, count, rng, by_entry=by_entry)
 
     def ends(self, role: str, q: States, q_next: States, steps: States) -> NDArray[np.int8]:
         """An attempt ends at a target, where the sub-task has no transition, and after ``attempt_steps``."""
         own = self.role(role)
-        over = own.tables.target[q, q_next] | own.stranded(q, q_next) | (steps >= own.attempt_steps)
+        over = own.tables.target[q, q_next] | (steps >= own.attempt_steps)
+        if self._config.learner.stranded_ends:
+            over |= own.stranded(q, q_next)
         return np.where(over, Ending.RESTART, Ending.KEEP).astype(np.int8)
 
     def hands_over(self, role: str, q: States, q_next: States) -> Mask:
@@ -113,7 +117,8 @@ class T4NMTD:
         """Update Q(q, T) for every change, towards 0 for a failed attempt (Algorithm 1)."""
         for q, q_next, steps, reward in changes:
             if q_next == NO_TARGET:
-                self.q_table.fail(q, role)
+                if self._config.high_level.learn_failures:
+                    self.q_table.fail(q, role)
             else:
                 self.q_table.update(q, role, reward, q_next, steps)
 

@@ -31,6 +31,8 @@ class RunOptions:
     """Budget of environment steps of all learners together."""
     config: list[Path] = field(default_factory=list)
     """TOML file laid over the task file; may be repeated."""
+    preset: str = ""
+    """Settings laid over the task file by name; `paper` is the method as published."""
     set: list[str] = field(default_factory=list)
     """One setting, such as learner.gamma=0.98; may be repeated."""
     translator: Literal["auto", "mona", "python"] = "auto"

@@ -17,6 +17,7 @@ from t4nmtd_dist.runs.event_files import check_tensorboard
 from t4nmtd_dist.runs.options import RunOptions
 from t4nmtd_dist.runs.resuming import Identity, StoppedRun, new_identity, read_stopped_run
 from t4nmtd_dist.tasks import load_task
+from t4nmtd_dist.tasks.presets import preset_settings
 
 Warn = Callable[[str], object]
 
@@ -70,7 +71,11 @@ def plan_run(options: RunOptions, *, serial: bool = False, warn: Warn = print) -
         return _resumed(options, options.resume, serial, warn)
     if not options.task:
         raise ConfigError("expected --task NAME for a new run, or --resume RUN to go on with one")
-    return plan_task(load_task(options.task, configs=options.config, flags=options.set), options, serial=serial)
+    return plan_task(
+        load_task(options.task, configs=options.config, flags=options.set, preset=options.preset),
+        options,
+        serial=serial,
+    )
 
 
 def plan_task(config: TaskConfig, options: RunOptions, *, serial: bool = False) -> RunPlan:
@@ -132,6 +137,8 @@ def _check_same_settings(options: RunOptions, stopped: StoppedRun) -> TaskConfig
     """The run's settings, with the requested budget and time limit."""
     own = stopped.config.to_dict()
     asked: Mapping[str, Any] = own
+    if options.preset:
+        asked = merge(asked, preset_settings(options.preset, own))
     for path in options.config:
         asked = merge(asked, read_toml(path))
     config = task_config(merge(asked, settings_from_flags(_flags(options))), source="--resume")

@@ -10,6 +10,7 @@ from typing import Any
 
 from t4nmtd_dist.core.config import TaskConfig, learner_defaults
 from t4nmtd_dist.core.setting_sources import merge, read_toml, settings_from_flags
+from t4nmtd_dist.tasks.presets import preset_settings
 
 DEFAULT = "default"
 
@@ -29,14 +30,18 @@ class Layer:
     data: Mapping[str, Any]
 
 
-def setting_layers(task: Path, configs: Iterable[Path] = (), flags: Iterable[str] = ()) -> list[Layer]:
-    """A task file, the files overriding it and ``--set`` flags, lowest layer first.
+def setting_layers(
+    task: Path, configs: Iterable[Path] = (), flags: Iterable[str] = (), preset: str = ""
+) -> list[Layer]:
+    """A task file, a preset, files laid over them and ``--set`` flags, the lowest layer first.
 
     Raises:
-        ConfigError: if a file is unreadable or a flag malformed.
+        ConfigError: if a file cannot be read, a flag is malformed, or there is no such preset.
     """
+    lowest = Layer(task.name, read_toml(task))
+    presets = [Layer(f"--preset {preset}", preset_settings(preset, lowest.data))] if preset else []
     files = [Layer(f"--config {path}", read_toml(path)) for path in configs]
-    return [Layer(task.name, read_toml(task)), *files, Layer("--set", settings_from_flags(flags))]
+    return [lowest, *presets, *files, Layer("--set", settings_from_flags(flags))]
 
 
 def merged(layers: Iterable[Layer]) -> dict[str, Any]:

@@ -19,18 +19,19 @@ def task_names() -> list[str]:
     return sorted(entry.name.removesuffix(".toml") for entry in found if entry.name.endswith(".toml"))
 
 
-def load_task(name: str, *, configs: Iterable[Path] = (), flags: Iterable[str] = ()) -> TaskConfig:
-    """Load a task's settings.
+def load_task(name: str, *, configs: Iterable[Path] = (), flags: Iterable[str] = (), preset: str = "") -> TaskConfig:
+    """The settings of a task.
 
     Args:
-        name: a bundled task such as ``task7``, or the path of a task file (``*.toml``).
-        configs: TOML files that override the task file, in order.
-        flags: ``section.key=value`` strings that override everything.
+        name: a name such as ``task7``, or the path of a task file of your own (``*.toml``).
+        preset: name of settings laid over the task file before all others (``tasks.presets``).
+        configs: further TOML files laid over the task file, in order.
+        flags: ``section.key=value`` texts laid over everything.
 
     Raises:
         ConfigError: for an unknown task, an unreadable file, or settings that ``task_config`` refuses.
     """
-    return from_layers(name, setting_layers(task_file(name), configs, flags))
+    return from_layers(name, setting_layers(task_file(name), configs, flags, preset))
 
 
 def from_layers(name: str, layers: Iterable[Layer]) -> TaskConfig:

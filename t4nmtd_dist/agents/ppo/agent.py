@@ -144,7 +144,8 @@ class PPOLearner:
     def _entropy_coefficient(self) -> float:
         """Decreases linearly with the success rate."""
         success = self.rollout.statistics.recent_success or 0.0
-        low, high = SUCCESSFUL_ENTROPY_COEFFICIENT, self._config.entropy_coefficient
+        high = self._config.entropy_coefficient
+        low = min(SUCCESSFUL_ENTROPY_COEFFICIENT, high)
         return high + (low - high) * success
 
     def losses(self) -> tuple[float | None, float | None]:

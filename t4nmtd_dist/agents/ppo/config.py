@@ -18,7 +18,9 @@ class PPOConfig:
         epochs: passes over the rollout.
         minibatch: rows per gradient step.
         learning_rate: of Adam.
-        entropy_coefficient: weight of the entropy bonus at success rate 0.
+        entropy_coefficient: weight of the entropy bonus at success rate 0; falls to at most 0.005 at success rate 1.
+        advantage_floor: lower bound of the standard deviation that advantages are divided by, so that the noise of a
+            trajectory without reward is not amplified.
     """
 
     num_envs: Count = 16
@@ -27,6 +29,7 @@ class PPOConfig:
     minibatch: Count = 256
     learning_rate: Positive = 1e-3
     entropy_coefficient: NotNegative = 0.15
+    advantage_floor: Positive = 0.1
 
 
 CONFIG = PPOConfig
@@ -39,5 +42,4 @@ FORMER_KEYS: Mapping[str, str] = {
     "value_coefficient": "it is fixed at 0.5 now",
     "gae_lambda": "it is fixed at 0.95 now",
     "max_grad_norm": "it is fixed at 0.5 now",
-    "advantage_floor": "it is fixed at 0.1 now",
 }

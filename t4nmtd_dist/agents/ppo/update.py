@@ -20,9 +20,6 @@ Floats = NDArray[np.float32]
 CLIP = 0.2
 VALUE_COEFFICIENT = 0.5
 MAX_GRAD_NORM = 0.5
-ADVANTAGE_FLOOR = 0.1
-"""Advantages are divided by their standard deviation, but by no less than this, so that the noise of a trajectory
-without reward is not blown up into a policy."""
 
 
 class PPOUpdate:
@@ -52,7 +49,7 @@ class PPOUpdate:
                 self._gradient_step(*(column[rows] for column in columns), entropy_coefficient=entropy_coefficient)
 
     def _normalised(self, advantages: Floats) -> Floats:
-        spread = max(float(advantages.std()), ADVANTAGE_FLOOR)
+        spread = max(float(advantages.std()), self._config.advantage_floor)
         normal: Floats = (advantages - advantages.mean()) / spread
         return normal
 

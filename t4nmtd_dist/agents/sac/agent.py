@@ -16,7 +16,6 @@ from t4nmtd_dist.agents.common.off_policy import OffPolicyLearner
 from t4nmtd_dist.agents.common.peer_values import PeerValues, Values
 from t4nmtd_dist.agents.sac.config import SACConfig
 from t4nmtd_dist.agents.sac.fast_cpu.update import SACUpdater
-from t4nmtd_dist.agents.sac.shapes import LAYER_NORM
 from t4nmtd_dist.agents.sac.soft_critic import SoftCritic
 from t4nmtd_dist.agents.sac.torch_update import TorchSACUpdater
 from t4nmtd_dist.agents.sac.updater import PeerSoftValues, SACSettings, SoftActorCritic
@@ -74,7 +73,7 @@ class SAC:
             tau=TAU,
             actor_average=config.actor_average,
             initial_alpha=self._initial_alpha,
-            layer_norm=LAYER_NORM,
+            layer_norm=config.layer_norm,
             hidden=context.settings.hidden,
         )
         self.updater = updater_on(context.device, self._inputs, self.action_size, settings, context.seed)

@@ -36,6 +36,7 @@ class SACConfig:
             target.
         alpha_floor: lower bound of the entropy coefficient at success rate 0, as a share of its initial value; falls
             with the squared failure rate.
+        layer_norm: normalise the critics' hidden layers.
         actor_average: share of the actor added to its running average, which is evaluated and exported, at each actor
             update; 1 means no averaging (docs/decisions/015).
     """
@@ -55,6 +56,7 @@ class SACConfig:
     learning_rate_decay: Share = 0.0
     initial_alpha: NotNegative = 0.0
     alpha_floor: Share = 1.0
+    layer_norm: bool = True
     actor_average: PositiveShare = 0.005
 
 
@@ -74,7 +76,6 @@ FORMER_KEYS: Mapping[str, str] = {
     "wave_share": 'use sac.exploration = "sinusoid" or "held+sinusoid" with \'sac.exploration_share\'',
     "steps_per_iteration": "it is fixed at 10 now",
     "tau": "it is fixed at 0.005 now",
-    "layer_norm": "critics are always layer-normalised now",
     "hold_share": 'use sac.exploration = "held" or "held+sinusoid" with \'sac.exploration_share\'',
 }
 

@@ -8,8 +8,6 @@ from dataclasses import dataclass
 from t4nmtd_dist.agents.weights import Shapes
 from t4nmtd_dist.core.config import TaskConfig
 
-LAYER_NORM = True  # in the critics' hidden layers
-
 
 @dataclass(frozen=True)
 class StackShape:
@@ -57,7 +55,7 @@ def parameter_shapes(config: TaskConfig, inputs: int, actions: int) -> Shapes:
     """See ``protocol.AgentShapes``."""
     hidden = config.learner.hidden
     actor = actor_shape(inputs, actions, hidden)
-    critics = critics_shape(inputs, actions, hidden, layer_norm=LAYER_NORM)
+    critics = critics_shape(inputs, actions, hidden, layer_norm=config.agents["sac"].layer_norm)
     parts = {"actor": actor, "average": actor, "critics": critics, "targets": critics}
     shapes = {f"{part}.{name}": size for part, shape in parts.items() for name, size in stack_shapes(shape)}
     return shapes | {"log_alpha": (1,), "average.low": (actions,), "average.high": (actions,)}
