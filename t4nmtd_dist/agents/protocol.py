@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from t4nmtd_dist.agents.common.context import AgentContext
 from t4nmtd_dist.agents.common.peer_values import PeerCritics, Values
+from t4nmtd_dist.agents.common.rehearsal import GreedyActor
 from t4nmtd_dist.agents.common.replay_buffer import ReplayBuffer
 from t4nmtd_dist.agents.common.rollout import Rollout
 from t4nmtd_dist.agents.weights import Shapes, Weights
@@ -144,6 +145,9 @@ class Learner(Protocol):
 
     def iterate(self, peers: PeerCritics) -> bool:
         """Some steps and the updates they call for; False while there is no state to start from."""
+
+    def rehearse(self, actor: GreedyActor) -> bool:
+        """One whole attempt of every copy by ``actor``, from which nothing is learned; False without a start state."""
 
     def critic_values(self, observations: Observations, q: NDArray[np.int32]) -> Values:
         """What a peer in the same process is told of product states, float32 [k] or [k, 2]."""
