@@ -94,13 +94,36 @@ class HighLevelConfig:
 
 
 @dataclass(frozen=True)
+class LSTSConfig:
+    """LSTS, for ``learner.method = "lsts"``.
+
+    Attributes:
+        slice_attempts: attempts of an edge between two choices of the teacher.
+    """
+
+    slice_attempts: Count = 50
+
+
+@dataclass(frozen=True)
+class DIRLConfig:
+    """DIRL, for ``learner.method = "dirl"``.
+
+    Attributes:
+        edge_interactions: interactions after which the training of an edge ends; 0 for ``max_interactions`` divided by
+            the number of edges.
+    """
+
+    edge_interactions: CountOrZero = 0
+
+
+@dataclass(frozen=True)
 class LearnerConfig:
     """What all learners share.
 
     Attributes:
         method: how the task is decomposed and its sub-tasks are joined, a name in ``core.registry.METHODS``:
-            ``t4nmtd``, or ``random``, which deals the same transitions to as many sub-tasks from the run's seed
-            (experiment 2).
+            ``t4nmtd``; ``random``, which deals the same transitions to as many sub-tasks from the run's seed
+            (experiment 2); or ``lsts`` or ``dirl``, which train one policy for each transition, one after the other.
         algorithm: name of an agent, such as ``ppo`` (discrete actions) or ``sac`` (continuous actions); ``auto``
             chooses by the action space.
         gamma: discount per step, also the one inside the shaped reward.
@@ -176,6 +199,8 @@ class TaskConfig:
     max_interactions: Count = 5_000_000
     decomposition: DecompositionConfig = DecompositionConfig()
     high_level: HighLevelConfig = HighLevelConfig()
+    lsts: LSTSConfig = LSTSConfig()
+    dirl: DIRLConfig = DIRLConfig()
     learner: LearnerConfig = LearnerConfig()
     agents: Mapping[str, Any] = field(default_factory=default_sections)
     evaluation: EvaluationConfig = EvaluationConfig()
