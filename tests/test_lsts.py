@@ -309,6 +309,24 @@ def test_attempts_start_where_the_learned_edge_arrived() -> None:
         check_starts(AnyReachedState)
 
 
+@given(graphs(), st.data())
+def test_every_scheduled_edge_has_start_states_or_begins_at_the_reset(graph: Any, data: st.DataObject) -> None:
+    edges, accepting = graph
+    method = method_on(edges, Teacher(edges, 0, {accepting}))
+    rng, starts = np.random.default_rng(data.draw(st.integers(0, 99))), dict.fromkeys(edges, 0)
+    method.advance(next(iter(edges)), [], rng)
+    for _ in range(30):
+        (edge,) = method.schedule()
+        u, v = edges[edge]
+        assert u == 0 or starts[edge]
+        assert method.learns(edge)
+        successes = data.draw(st.sampled_from([0, 20, 47, 48, 50]))
+        method.told(edge, [arrived(u, v)] * successes + [failed(u)] * (50 - successes))
+        for receiver, q, _ in method.advance(edge, [(v, snapshot(n)) for n in range(min(successes, 5))], rng):
+            assert q == edges[receiver][0]
+            starts[receiver] += 1
+
+
 def test_the_200_newest_arrivals_are_kept() -> None:
     edges = named((0, 1), (1, 2))
     method, rng = method_on(edges, teacher := Teacher(edges, 0, {2})), np.random.default_rng(0)
