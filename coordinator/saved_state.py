@@ -16,6 +16,7 @@ def saved_state(state: CoordinatorState) -> State:
     """
     return {
         "high_level": state.method.entries(),
+        "method": state.method.state_dict(),
         "rng": state.rng.bit_generator.state,
         "records": {pid: record.state_dict() for pid, record in state.records.items()},
         "evaluations": state.evaluations.state_dict(),
@@ -29,6 +30,8 @@ def saved_state(state: CoordinatorState) -> State:
 def load_saved_state(state: CoordinatorState, saved: State) -> None:
     """Restore a ``saved_state`` into a fresh coordinator of the same run."""
     state.method.load((q, pid, value) for q, pid, value in saved["high_level"])
+    if "method" in saved:
+        state.method.load_state_dict(saved["method"])
     state.rng.bit_generator.state = saved["rng"]
     for pid, record in state.records.items():
         record.load_state_dict(saved["records"][pid])

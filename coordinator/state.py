@@ -204,12 +204,14 @@ class CoordinatorState:
 
     def _hand_over(self, pid: str, starts: Sequence[Start]) -> None:
         """Add each state <s, q> to the initial-state buffers of sub-tasks that start there: for T4NMTD, E(Q, q)."""
-        for q, state in starts:
-            self.snapshot = state
-            if q in self.task.terminal:
-                continue
+        if starts:
+            self.snapshot = starts[-1][1]
+        going_on = [(q, state) for q, state in starts if q not in self.task.terminal]
+        for q, state in going_on:
             for receiver in self.method.receivers(pid, q, self.rng):
                 self.records[receiver].buffer.add(q, state)
+        for receiver, q, state in self.method.advance(pid, going_on, self.rng):
+            self.records[receiver].buffer.add(q, state)
 
     def _reply(self, event: Received, sync: Sync) -> Send:
         """The Q-table, the peers, and the start states new to the learner."""

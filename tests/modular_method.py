@@ -16,7 +16,7 @@ from t4nmtd_dist.automata.dfa import DFA
 from t4nmtd_dist.core.config import TaskConfig
 from t4nmtd_dist.method import t4nmtd
 from t4nmtd_dist.method.decomposition import Decomposition
-from t4nmtd_dist.method.protocol import Change, Ending, Mask, Reading, States
+from t4nmtd_dist.method.protocol import Change, Ending, Mask, Reading, States, Unstaged
 from t4nmtd_dist.method.roles import Role, role_of
 from t4nmtd_dist.method.start_states import InitialStateBuffer, StartState, sample_starts
 
@@ -31,7 +31,7 @@ def decompose(config: TaskConfig, dfa: DFA, *, seed: int, deadline: Deadline | N
     return Decomposition({f"q{q}": [tau for tau in transitions if tau[0] == q] for q, _ in transitions})
 
 
-class Modular:
+class Modular(Unstaged):
     def __init__(self, config: TaskConfig, dfa: DFA, decomposition: Decomposition, rho: NDArray[np.float64]) -> None:
         self._roles = {pid: role_of(config, dfa, decomposition, rho, pid) for pid in decomposition.pids}
         self.reported: list[tuple[str, Change]] = []

@@ -13,6 +13,7 @@ import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
+from t4nmtd_dist.agents.actors import make_actor
 from t4nmtd_dist.agents.common.peer_values import InterventionCounts, PeerCritics
 from t4nmtd_dist.agents.registry import build_learner, subtask_seed
 from t4nmtd_dist.agents.weight_checks import check_alike
@@ -67,7 +68,8 @@ class LearnerSession:
         seed = subtask_seed(granted.seed, granted.pid, granted.epoch)
         self.learner = build_learner(task, granted.pid, self.buffer, self.method, seed=seed, device=device)
         self.peers: dict[str, Peer] = {}
-        self.intervention = task.config.learner.intervention
+        self._settings = task.config.learner
+        self.intervention = self._settings.intervention
         self._dfa_states, self.symbols = task.dfa.delta.shape
         self.processor_s = 0.0  # updated by the caller
         self._tell = tell
@@ -164,9 +166,15 @@ class LearnerSession:
     def iterate(self, peers: PeerCritics) -> bool:
         """Run one rollout and its updates; False without a start state, or if not scheduled."""
         scheduled = self.method.schedule()
-        self._training = (scheduled is None or self.pid in scheduled) and self.learner.iterate(peers)
+        self._training = (scheduled is None or self.pid in scheduled) and self._act(peers)
         self._counts = peers.counts
         return self._training
+
+    def _act(self, peers: PeerCritics) -> bool:
+        """Learn from some steps, or show what the policy is worth as it is."""
+        if self.method.learns(self.pid):
+            return self.learner.iterate(peers)
+        return self.learner.rehearse(make_actor(self._settings, self.learner.weights()))
 
     def next_sync(self, now: float, interval_s: float) -> Envelope | None:
         """The message due now, if any: new progress, or a repeat of an unanswered message."""
@@ -259,8 +267,15 @@ class LearnerSession:
             self._start_cursor = reply.start_cursor
             for q, state in unpack_starts(envelope.arrays, self._dfa_states):
                 self.buffer.add(q, state)
-        self.method.load(reply.q_table)
+        self._load_plan(reply)
         self.peers = reply.peers
+
+    def _load_plan(self, reply: SyncReply) -> None:
+        """The newest of the upper level; attempts not told yet count no more if they were of the other kind."""
+        learned = self.method.learns(self.pid)
+        self.method.load(reply.q_table)
+        if self.method.learns(self.pid) != learned:
+            self.learner.rollout.take_progress()
 
 
 def training_of(granted: Granted) -> tuple[object, ...]:

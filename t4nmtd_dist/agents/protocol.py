@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from t4nmtd_dist.agents.common.context import AgentContext
 from t4nmtd_dist.agents.common.peer_values import PeerCritics, Values
+from t4nmtd_dist.agents.common.rehearsal import GreedyActor
 from t4nmtd_dist.agents.common.replay_buffer import ReplayBuffer
 from t4nmtd_dist.agents.common.rollout import Rollout
 from t4nmtd_dist.agents.weights import Shapes, Weights
@@ -142,6 +143,9 @@ class Learner(Protocol):
 
     def iterate(self, peers: PeerCritics) -> bool:
         """Collect some steps and run the updates due; False while there is no start state."""
+
+    def rehearse(self, actor: GreedyActor) -> bool:
+        """One whole attempt of every copy by ``actor``, from which nothing is learned; False without a start state."""
 
     def critic_values(self, observations: Observations, q: NDArray[np.int32]) -> Values:
         """Values of product states, float32 [k] or [k, 2], for peers in this process."""

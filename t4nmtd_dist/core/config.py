@@ -103,12 +103,36 @@ class HighLevelConfig:
 
 
 @dataclass(frozen=True)
+class LSTSConfig:
+    """LSTS, for ``learner.method = "lsts"``.
+
+    Attributes:
+        slice_attempts: attempts of an edge between two choices of the teacher.
+    """
+
+    slice_attempts: Count = 50
+
+
+@dataclass(frozen=True)
+class DIRLConfig:
+    """DIRL, for ``learner.method = "dirl"``.
+
+    Attributes:
+        edge_interactions: interactions after which the training of an edge ends; 0 for ``max_interactions`` divided by
+            the number of edges.
+    """
+
+    edge_interactions: CountOrZero = 0
+
+
+@dataclass(frozen=True)
 class LearnerConfig:
     """Settings shared by all learners.
 
     Attributes:
-        method: a name in ``core.registry.METHODS``: ``t4nmtd``, or ``random``, which assigns the same transitions to as
-            many sub-tasks at random (experiment 2).
+        method: a name in ``core.registry.METHODS``: ``t4nmtd``; ``random``, which assigns the same transitions to as
+            many sub-tasks at random (experiment 2); ``lsts`` or ``dirl``, which train one policy per transition, one
+            after the other.
         algorithm: an agent, such as ``ppo`` (discrete actions) or ``sac`` (continuous actions); ``auto`` chooses by the
             action space.
         gamma: discount per step, also used in the shaped reward.
@@ -192,6 +216,8 @@ class TaskConfig:
     max_interactions: Count = 5_000_000
     decomposition: DecompositionConfig = DecompositionConfig()
     high_level: HighLevelConfig = HighLevelConfig()
+    lsts: LSTSConfig = LSTSConfig()
+    dirl: DIRLConfig = DIRLConfig()
     learner: LearnerConfig = LearnerConfig()
     agents: Mapping[str, Any] = field(default_factory=default_sections)
     evaluation: EvaluationConfig = EvaluationConfig()

@@ -67,6 +67,8 @@ AGENTS = Registry(
 METHODS = Registry(
     "method",
     {
+        "dirl": "t4nmtd_dist.method.dirl",
+        "lsts": "t4nmtd_dist.method.lsts",
         "random": "t4nmtd_dist.method.random_decomposition",
         "t4nmtd": "t4nmtd_dist.method.t4nmtd",
     },

@@ -6,10 +6,10 @@ selected by ``learner.method``.
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterable, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from enum import IntEnum
-from typing import Literal, NamedTuple, Protocol, cast
+from typing import Any, Literal, NamedTuple, Protocol, cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,6 +18,7 @@ from t4nmtd_dist.automata.deadline import Deadline
 from t4nmtd_dist.automata.dfa import DFA
 from t4nmtd_dist.core.config import TaskConfig
 from t4nmtd_dist.core.registry import METHODS
+from t4nmtd_dist.core.state_dict import State
 from t4nmtd_dist.method.decomposition import Decomposition
 from t4nmtd_dist.method.high_level import QEntries
 from t4nmtd_dist.method.roles import Role
@@ -28,6 +29,12 @@ NO_TARGET = -1
 
 States = NDArray[np.int32]
 Mask = NDArray[np.bool_]
+
+Start = tuple[int, NDArray[Any]]
+"""A start state <s, q> as (q, snapshot)."""
+
+Delivery = tuple[str, int, NDArray[Any]]
+"""A start state for a role's buffer, as (role, q, snapshot)."""
 
 
 class Ending(IntEnum):
@@ -85,6 +92,8 @@ class Method(Protocol):
         for q, state in stored:
             for receiver in method.receivers(role, q, rng):
                 buffers[receiver].add(q, state)
+        for receiver, q, state in method.advance(role, stored, rng):
+            buffers[receiver].add(q, state)
         entries = method.entries()                                      # to the others, who call load(entries)
 
         roles = method.choose(q)                                        # evaluator: who acts
@@ -152,14 +161,54 @@ class Method(Protocol):
     def told(self, role: str, changes: Iterable[Change]) -> None:
         """Train the high level on a role's reported changes, in order."""
 
+    def advance(self, role: str, starts: Sequence[Start], rng: np.random.Generator) -> Iterable[Delivery]:
+        """Decide what comes next, once all of a report is in.
+
+        Args:
+            role: whose report it was.
+            starts: what it handed over, as given to ``receivers``.
+            rng: the coordinator's.
+
+        Returns:
+            Start states that were held back until now.
+        """
+
     def schedule(self) -> Collection[str] | None:
         """Roles that act and learn now; None for all."""
+
+    def learns(self, role: str) -> bool:
+        """Whether a scheduled role explores and learns; otherwise its greedy policy makes whole attempts."""
 
     def entries(self) -> QEntries:
         """The learned high level as (q, role, value), for messages, checkpoints and exports."""
 
     def load(self, entries: Iterable[tuple[int, str, float]]) -> None:
         """Replace the learned high level with ``entries`` of another object."""
+
+    def state_dict(self) -> State:
+        """What the coordinator's object knows beyond its ``entries``, for a checkpoint."""
+
+    def load_state_dict(self, state: Mapping[str, Any]) -> None:
+        """Go on from a ``state``, after ``load`` of the entries that belong to it."""
+
+
+class Unstaged:
+    """The part of a method that trains its roles all along: nothing comes later, and ``entries`` tell everything."""
+
+    def advance(self, role: str, starts: Sequence[Start], rng: np.random.Generator) -> Iterable[Delivery]:
+        """Nothing is held back."""
+        return ()
+
+    def learns(self, role: str) -> bool:
+        """Always."""
+        return True
+
+    def state_dict(self) -> State:
+        """Nothing."""
+        return {}
+
+    def load_state_dict(self, state: Mapping[str, Any]) -> None:
+        """There is nothing to load."""
 
 
 class MethodModule(Protocol):

@@ -14,7 +14,7 @@ from t4nmtd_dist.core.config import TaskConfig
 from t4nmtd_dist.method.decomposition import Decomposition
 from t4nmtd_dist.method.decomposition import decompose as decompose_automaton
 from t4nmtd_dist.method.high_level import QEntries, QTable
-from t4nmtd_dist.method.protocol import NO_TARGET, Change, Ending, Mask, Reading, States
+from t4nmtd_dist.method.protocol import NO_TARGET, Change, Ending, Mask, Reading, States, Unstaged
 from t4nmtd_dist.method.roles import Role, role_of
 from t4nmtd_dist.method.start_states import InitialStateBuffer, StartState, sample_starts
 
@@ -40,7 +40,7 @@ def build(config: TaskConfig, dfa: DFA, decomposition: Decomposition, rho: NDArr
     return T4NMTD(config, dfa, decomposition, rho)
 
 
-class T4NMTD:
+class T4NMTD(Unstaged):
     """The rules of ``Method`` with sub-tasks as roles.
 
     Attributes:

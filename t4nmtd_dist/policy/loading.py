@@ -18,8 +18,8 @@ from t4nmtd_dist.method.decomposition import Decomposition
 from t4nmtd_dist.policy.export import ACTORS_FILE, POLICY_FILE, POLICY_FORMAT, read_export
 from t4nmtd_dist.policy.global_policy import ActorWeights, GlobalPolicy
 
-TRAINING_KEYS = {"max_interactions", "decomposition", "high_level", "evaluation", *AGENTS.modules}
-ACTING_LEARNER_KEYS = {"algorithm", "gamma", "hidden", "normalise_observations"}
+TRAINING_KEYS = {"max_interactions", "decomposition", "high_level", "lsts", "dirl", "evaluation", *AGENTS.modules}
+ACTING_LEARNER_KEYS = {"method", "algorithm", "gamma", "hidden", "normalise_observations"}
 
 
 @dataclass(frozen=True)

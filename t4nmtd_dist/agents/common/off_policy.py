@@ -16,6 +16,7 @@ from t4nmtd_dist.agents.common.off_policy_config import OffPolicyConfig
 from t4nmtd_dist.agents.common.peer_values import PeerCritics, PeerValues, Values
 from t4nmtd_dist.agents.common.product_states import product_states
 from t4nmtd_dist.agents.common.published import Critic, PublishedCritic
+from t4nmtd_dist.agents.common.rehearsal import GreedyActor, rehearse
 from t4nmtd_dist.agents.common.relabelling import ExperienceReader
 from t4nmtd_dist.agents.common.replay_buffer import ReplayBuffer
 from t4nmtd_dist.agents.weights import Arrays, Weights
@@ -140,6 +141,12 @@ class OffPolicyLearner:
         self.version += 1
         self._publish()
         return True
+
+    def rehearse(self, actor: GreedyActor) -> bool:
+        """See ``Learner.rehearse``."""
+        self.replay_buffer.end_attempts()
+        self._begun[:] = True
+        return rehearse(self.rollout, actor, self._context.dfa_states)
 
     def _step(self) -> None:
         rollout = self.rollout

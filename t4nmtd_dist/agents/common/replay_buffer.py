@@ -151,6 +151,12 @@ class ReplayBuffer:
         for copy in np.flatnonzero(reached):
             self._before_success.add(self.leading_to(self._written - 1, int(copy)))
 
+    def end_attempts(self) -> None:
+        """The next step of every copy belongs to another attempt."""
+        if self._written:
+            with self._lock:
+                self.ended[self.rows_of(self._written - 1, 1)] = True
+
     def rows_of(self, first: int, steps: int) -> Indices:
         """Flat row numbers of steps [steps, N]."""
         return ((first + np.arange(steps)) % self.steps)[:, None] * self._count + np.arange(self._count)

@@ -95,6 +95,7 @@ class Rollout:
         self._steps = np.zeros(env.count, dtype=np.int32)
         self._steps_in_q = np.zeros(env.count, dtype=np.int32)
         self._begun = False
+        self._told = np.ones(env.count, dtype=np.bool_)  # copies whose attempts count
         self.progress = Progress()
         self.interactions = 0
         self.statistics = AttemptStatistics()
@@ -113,6 +114,33 @@ class Rollout:
         if not self._begun:
             self._begun = self._start(np.arange(self._env.count))
         return self._begun
+
+    def begin_anew(self) -> bool:
+        """Start another attempt in every copy that is within one, of which nothing is told; False without a start."""
+        if not self._begun:
+            return self.begin()
+        rows = np.flatnonzero(self._steps)
+        return not len(rows) or self._start(rows)
+
+    def attempt_once(self, act: Callable[[], NDArray[Any]]) -> bool:
+        """One whole attempt of every copy from a new start; False while there is no start state.
+
+        A copy that is done before others goes on, but of what it does then nothing is told. The first attempts to end
+        are the short ones: to count those alone would tell a wrong share of successes.
+
+        Args:
+            act: actions for ``observations`` and ``q`` as they are [N].
+
+        Raises:
+            EnvError: see ``step``.
+        """
+        if not self.begin_anew():
+            return False
+        self._told[:] = True
+        while self._told.any():
+            self._told &= ~self.step(act()).ended
+        self._told[:] = True
+        return self.begin_anew()
 
     def step(self, actions: NDArray[Any]) -> RolloutStep:
         """Act in every environment, advance the DFA, and restart ended attempts.
@@ -156,16 +184,17 @@ class Rollout:
 
     def _report_changes(self, step: RolloutStep) -> None:
         """Report DFA changes and ends of attempts, for the update of Q."""
-        for row in np.flatnonzero(step.changed | step.ended):
+        for row in np.flatnonzero((step.changed | step.ended) & self._told):
             lost = step.terminal[row] and not self._role.tables.terminal[step.q_next[row]]  # a dead end is no progress
             counts = bool(step.changed[row] and not lost)
             q_next, reward = (int(step.q_next[row]), float(step.reward[row])) if counts else (NO_TARGET, 0.0)
             self.progress.changes.append(Change(int(self.q[row]), q_next, int(self._steps_in_q[row]), reward))
 
     def _count_endings(self, step: RolloutStep) -> None:
-        for row in np.flatnonzero(step.ended):
+        ended = step.ended & self._told
+        for row in np.flatnonzero(ended):
             self.statistics.add(bool(step.reached[row]), int(self._steps[row]))
-        failed = step.ended & ~step.reached
+        failed = ended & ~step.reached
         if failed.any():
             errors = failed & self._role.tables.error[step.q_next]
             stranded = self._role.stranded(self.q, step.q_next)
@@ -176,7 +205,8 @@ class Rollout:
 
     def _hand_over(self, step: RolloutStep) -> None:
         """Snapshot the states handed over."""
-        handed = np.flatnonzero(self._method.hands_over(self._role.name, self.q, step.q_next) & ~step.terminal)
+        wanted = self._method.hands_over(self._role.name, self.q, step.q_next)
+        handed = np.flatnonzero(wanted & ~step.terminal & self._told)
         if len(handed):
             states = self._env.snapshot(handed)
             self.progress.starts += [(int(step.q_next[row]), s) for row, s in zip(handed, states, strict=True)]

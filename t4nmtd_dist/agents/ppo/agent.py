@@ -14,6 +14,7 @@ from t4nmtd_dist.agents.common.networks import load_weights, weights_of
 from t4nmtd_dist.agents.common.peer_values import PeerCritics, Questions, Values
 from t4nmtd_dist.agents.common.product_states import product_states
 from t4nmtd_dist.agents.common.published import PublishedCritic
+from t4nmtd_dist.agents.common.rehearsal import GreedyActor, rehearse
 from t4nmtd_dist.agents.common.replay_buffer import ReplayBuffer
 from t4nmtd_dist.agents.common.rollout import RolloutStep
 from t4nmtd_dist.agents.common.successors import draw_successors
@@ -73,6 +74,10 @@ class PPOLearner:
         self.collect(peers)
         self.learn(peers)
         return True
+
+    def rehearse(self, actor: GreedyActor) -> bool:
+        """See ``Learner.rehearse``."""
+        return rehearse(self.rollout, actor, self._context.dfa_states)
 
     @torch.no_grad()
     def collect(self, peers: PeerCritics) -> None:

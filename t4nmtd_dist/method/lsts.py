@@ -1,0 +1,26 @@
+"""LSTS: a teacher chooses which edge of the automaton trains, by progress (Shukla et al., 2024).
+
+An edge's attempts start in states in which the learned edge into its source arrived, restored as T4NMTD restores them.
+Not built: the variant that executes the learned edges from the reset instead.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from t4nmtd_dist.automata.dfa import DFA
+from t4nmtd_dist.core.config import TaskConfig
+from t4nmtd_dist.method import edges
+from t4nmtd_dist.method.decomposition import Decomposition
+from t4nmtd_dist.method.lsts_teacher import Teacher
+
+decompose = edges.decompose
+
+
+def build(config: TaskConfig, dfa: DFA, decomposition: Decomposition, rho: NDArray[np.float64]) -> edges.EdgeMethod:
+    """See ``MethodModule.build``."""
+    teacher = Teacher(
+        edges.edges_of(decomposition), dfa.initial, dfa.accepting, slice_attempts=config.lsts.slice_attempts
+    )
+    return edges.EdgeMethod(config, dfa, decomposition, rho, teacher)
