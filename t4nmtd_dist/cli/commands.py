@@ -8,6 +8,7 @@ from typing import Annotated, Literal
 
 import tyro
 
+from t4nmtd_dist.cli.experiment_commands import Experiment
 from t4nmtd_dist.cli.key_commands import Keys
 from t4nmtd_dist.cli.options import RunFlags
 from t4nmtd_dist.core.action_modes import ActionMode
@@ -32,11 +33,17 @@ class Train(RunFlags):
     """How many processes learn, with the sub-tasks divided among them in turn; by default one per sub-task."""
     device: Device = "cpu"
     """Where they train; with networks as small as these the CPU is expected to be faster."""
+    parent: int | None = None
+    """End when the process of this number, which started this one, has ended (used by `t4nmtd experiment`)."""
 
     def run(self) -> int:
         """Train."""
         from t4nmtd_dist.cli.train import train
         from t4nmtd_dist.core.errors import ConfigError
+        from t4nmtd_dist.process.parent_watchdog import end_with_parent
+
+        if self.parent is not None:
+            end_with_parent(self.parent)
 
         launcher = self.launcher or ("serial" if self.serial else "local")
         if self.serial and launcher != "serial":
@@ -363,6 +370,7 @@ Command = (
     | Evaluate
     | Record
     | Plot
+    | Experiment
     | Inspect
     | Config
     | Check

@@ -48,17 +48,22 @@ def plot(
             labels do not fit.
         RunError: if a folder holds no evaluations, or runs of one label have no common range.
     """
-    _check_out(out)
+    check_out(out)
     wanted = _metrics(metrics)
     groups = grouped(paths, labels)
     figure = draw(groups, AXES[x], wanted)
-    _save(figure, out)
+    save(figure, out)
     counts = ", ".join(f"{label}: {len(runs)} run{'s'[: len(runs) != 1]}" for label, runs in groups.items())
     print(f"{counts}; picture in {out}")
     return 0
 
 
-def _check_out(out: Path) -> None:
+def check_out(out: Path) -> None:
+    """Check that a picture can be written.
+
+    Raises:
+        ConfigError: for an unknown format, a missing package or folder.
+    """
     if out.suffix not in FORMATS:
         raise ConfigError(f"--out {out}: expected a name that ends in {' or '.join(FORMATS)}")
     if importlib.util.find_spec("matplotlib") is None:
@@ -164,8 +169,12 @@ def _format(panel: Axes, metric: Metric) -> None:
         panel.set_ylim(bottom=0)
 
 
-def _save(figure: Figure, out: Path) -> None:
-    """Write atomically through a temporary file."""
+def save(figure: Figure, out: Path) -> None:
+    """Write a figure atomically through a temporary file.
+
+    Raises:
+        ConfigError: if it cannot be written.
+    """
     import matplotlib
 
     fresh = out.with_name(f".{out.stem}.new{out.suffix}")

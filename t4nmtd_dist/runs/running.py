@@ -33,7 +33,7 @@ def running_runs(root: Path = RUNS) -> list[Running]:
     """Active runs below ``root``/<task>/, newest first."""
     found = {path.resolve(): path for path in root.glob(f"*/*/{ENDPOINTS_FILE}") if path.parent.name != LATEST}
     newest_first = sorted(found.values(), key=_written, reverse=True)
-    return [_read(path.parent) for path in newest_first if _is_locked(path.parent)]
+    return [_read(path.parent) for path in newest_first if is_locked(path.parent)]
 
 
 def named_run(folder: Path) -> Running:
@@ -47,7 +47,7 @@ def named_run(folder: Path) -> Running:
     if not (path / CONFIG_FILE).exists():
         raise RunError(f"no run in {folder}: expected a run directory such as runs/task7/latest, or a folder of runs")
     path = path.parent / path.readlink() if path.is_symlink() else path
-    if not _is_locked(path):
+    if not is_locked(path):
         raise RunOverError(_ending(path))
     if not (path / ENDPOINTS_FILE).exists():
         raise RunOverError(f"the run in {path} listens nowhere: it is just starting, or runs in one process (--serial)")
@@ -70,7 +70,7 @@ def _written(path: Path) -> float:
         return 0.0
 
 
-def _is_locked(path: Path) -> bool:
+def is_locked(path: Path) -> bool:
     """Whether a live process holds the folder's lock (``RunDirectory.lock``)."""
     try:
         with (path / LOCK_FILE).open(encoding="utf-8") as file:

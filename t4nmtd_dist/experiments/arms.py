@@ -1,0 +1,129 @@
+"""The experiments and their arms. An arm is what ``t4nmtd train`` is given beyond a task and a seed."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from t4nmtd_dist.core.config import TaskConfig
+from t4nmtd_dist.core.errors import ConfigError
+from t4nmtd_dist.tasks import load_task, task_names
+
+CAPS = {
+    "task1": 500_000,
+    "task2": 1_200_000,
+    "task3": 500_000,
+    "task4": 1_400_000,
+    "task5": 300_000,
+    "task6": 300_000,
+    "task7": 800_000,
+    "task8": 3_500_000,
+}
+"""Interactions after which a run counts as unsolved: ten times the mean that T4NMTD took when they were fixed."""
+
+PLAIN = ("sac.relabel_share=0", "sac.peer_share=0")
+
+
+@dataclass(frozen=True)
+class Arm:
+    """One way to train in an experiment.
+
+    Attributes:
+        name: also the name of its folder.
+        settings: ``key=value`` as for ``--set``; arms of an experiment differ in nothing else.
+        preset: as for ``--preset``.
+        plain: an arm without relabelling and peers' experience, which are not in the paper.
+    """
+
+    name: str
+    settings: tuple[str, ...] = ()
+    preset: str = ""
+    plain: bool = False
+
+
+@dataclass(frozen=True)
+class Experiment:
+    """A comparison of arms.
+
+    Attributes:
+        title: a heading.
+        arms: the first is what the others are compared with.
+    """
+
+    name: str
+    title: str
+    arms: tuple[Arm, ...]
+
+    def chosen(self, names: Sequence[str]) -> tuple[Arm, ...]:
+        """The arms of these names, in the experiment's order; all for none.
+
+        Raises:
+            ConfigError: for an unknown name.
+        """
+        known = [arm.name for arm in self.arms]
+        for name in names:
+            if name not in known:
+                raise ConfigError(f"experiment {self.name}: unknown arm {name!r}; known: {', '.join(known)}")
+        return tuple(arm for arm in self.arms if not names or arm.name in names)
+
+
+def _with_plain(arms: Sequence[Arm]) -> tuple[Arm, ...]:
+    plain = [Arm(f"{arm.name}-plain", (*arm.settings, *PLAIN), arm.preset, plain=True) for arm in arms]
+    return (*arms, *plain)
+
+
+EXPERIMENTS = {
+    experiment.name: experiment
+    for experiment in (
+        Experiment(
+            "comparison",
+            "Experiment 1: methods",
+            (
+                Arm("t4nmtd"),
+                Arm("t4nmtd-plain", PLAIN, plain=True),
+                Arm("paper", preset="paper"),
+                Arm("lsts", ("learner.method=lsts",)),
+                Arm("dirl", ("learner.method=dirl",)),
+            ),
+        ),
+        Experiment(
+            "decomposition",
+            "Experiment 2: decomposition by objective or at random",
+            _with_plain([Arm("objective"), Arm("random", ("learner.method=random",))]),
+        ),
+        Experiment(
+            "intervention",
+            "Experiment 3: with and without policy intervention",
+            _with_plain([Arm("intervention"), Arm("off", ("learner.intervention=off",))]),
+        ),
+    )
+}
+
+
+def experiment(name: str) -> Experiment:
+    """The experiment of a name.
+
+    Raises:
+        ConfigError: if there is none.
+    """
+    if name not in EXPERIMENTS:
+        raise ConfigError(f"unknown experiment {name!r}; known: {', '.join(EXPERIMENTS)}")
+    return EXPERIMENTS[name]
+
+
+def applies(arm: Arm, task: TaskConfig) -> bool:
+    """Whether an arm differs from the others in a task: with PPO there is no experience to be without."""
+    return not arm.plain or task.learner.algorithm == "sac"
+
+
+def check_tasks(names: Sequence[str]) -> tuple[str, ...]:
+    """Names of bundled tasks, all for none.
+
+    Raises:
+        ConfigError: for a task without a cap.
+    """
+    for name in names:
+        if name not in CAPS:
+            raise ConfigError(f"task {name!r}: experiments know the caps of {', '.join(CAPS)} only")
+        load_task(name)
+    return tuple(names) or tuple(task_names())

@@ -1,0 +1,193 @@
+"""The runs of an experiment as jobs, each in a folder of its own, and a queue that starts and resumes them."""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from t4nmtd_dist.core.errors import RunError
+from t4nmtd_dist.experiments.arms import CAPS, Arm, Experiment, applies
+from t4nmtd_dist.launch.command_lines import python_command
+from t4nmtd_dist.runs.directory import CHECKPOINTS_FOLDER, SUMMARY_FILE, read_summary
+from t4nmtd_dist.runs.resuming import IDENTITY_FILE
+from t4nmtd_dist.runs.running import is_locked
+from t4nmtd_dist.tasks import load_task
+
+ENDED = ("solved", "budget spent")
+POLL_S = 0.2
+END_S = 60.0
+LOG_FILE = "train.log"
+CHECKPOINT_EVERY_S = "60"
+
+
+@dataclass(frozen=True)
+class Job:
+    """One run of an experiment.
+
+    Attributes:
+        cap: budget in interactions.
+        folder: its run directory, named after experiment, arm, task and seed.
+    """
+
+    arm: Arm
+    task: str
+    seed: int
+    cap: int
+    folder: Path
+
+    @property
+    def name(self) -> str:
+        """For people."""
+        return f"{self.arm.name} {self.task} seed {self.seed}"
+
+    @property
+    def ended(self) -> bool:
+        """Whether it was solved or spent its budget."""
+        try:
+            return (self.folder / SUMMARY_FILE).exists() and read_summary(self.folder)["outcome"] in ENDED
+        except (RunError, KeyError):
+            return False
+
+    def command(self, launcher: str) -> list[str]:
+        """Begin the run, or resume it from its checkpoints."""
+        command = [*python_command("t4nmtd"), "train", "--no-dashboard", "--launcher", launcher]
+        command += ["--parent", str(os.getpid()), "--checkpoint-every", CHECKPOINT_EVERY_S]
+        if (self.folder / CHECKPOINTS_FOLDER / IDENTITY_FILE).exists():
+            return [*command, "--resume", str(self.folder)]
+        command += ["--task", self.task, "--seed", str(self.seed), "--max-interactions", str(self.cap), "--restart"]
+        command += ["--preset", self.arm.preset] if self.arm.preset else []
+        command += [part for setting in self.arm.settings for part in ("--set", setting)]
+        return [*command, "--run-dir", str(self.folder), "--tensorboard", "off"]
+
+
+def make_jobs(
+    experiment: Experiment,
+    arms: Sequence[Arm],
+    tasks: Sequence[str],
+    seeds: Sequence[int],
+    root: Path,
+    *,
+    cap_share: float = 1.0,
+) -> list[Job]:
+    """All jobs of an experiment, seed by seed, so that an unfinished queue has few seeds of everything.
+
+    Args:
+        experiment: names their folder.
+        arms: of the experiment.
+        tasks: names of bundled tasks.
+        seeds: of the runs; arms are paired by them.
+        root: of all experiments.
+        cap_share: factor on the caps.
+    """
+    return [
+        Job(
+            arm,
+            task,
+            seed,
+            round(CAPS[task] * cap_share),
+            root / experiment.name / arm.name / f"{task}-s{seed}",
+        )
+        for seed in seeds
+        for task in tasks
+        for arm in arms
+        if applies(arm, load_task(task))
+    ]
+
+
+@dataclass
+class _Running:
+    job: Job
+    process: subprocess.Popen[bytes]
+
+
+class JobQueue:
+    """Runs jobs, several at a time.
+
+    The loop it is meant for::
+
+        queue = JobQueue(jobs, parallel=2, launcher="serial")
+        while queue.turn():
+            show(queue.ended, queue.failed)
+
+    Args:
+        jobs: those that have ended are left out.
+        parallel: how many run at a time.
+        launcher: of every run.
+        tell: hears of every end.
+
+    Attributes:
+        failed: jobs that ended without an outcome, with the reason.
+    """
+
+    def __init__(
+        self, jobs: Sequence[Job], *, parallel: int, launcher: str = "serial", tell: Callable[[str], None] = print
+    ) -> None:
+        self._waiting = [job for job in jobs if not job.ended]
+        self._parallel, self._launcher, self._tell = parallel, launcher, tell
+        self._running: list[_Running] = []
+        self.total, self.ended = len(jobs), len(jobs) - len(self._waiting)
+        self.failed: dict[str, str] = {}
+
+    @property
+    def running(self) -> list[Job]:
+        """The jobs under way."""
+        return [running.job for running in self._running]
+
+    def turn(self) -> bool:
+        """Start what there is room for, and take note of what has ended; False once nothing is left."""
+        for running in list(self._running):
+            if running.process.poll() is not None:
+                self._running.remove(running)
+                self._take_end(running)
+        while self._waiting and len(self._running) < self._parallel:
+            self._start(self._waiting.pop(0))
+        return bool(self._running)
+
+    def _start(self, job: Job) -> None:
+        if is_locked(job.folder):
+            self.failed[job.name] = f"another process trains in {job.folder}"
+            self._tell(f"{job.name}: {self.failed[job.name]}")
+            return
+        job.folder.parent.mkdir(parents=True, exist_ok=True)
+        log = job.folder.parent / f"{job.folder.name}.{LOG_FILE}"
+        with log.open("ab") as file:
+            environment = {**os.environ, "OMP_NUM_THREADS": "1", "MKL_NUM_THREADS": "1"}
+            process = subprocess.Popen(
+                job.command(self._launcher),
+                stdin=subprocess.DEVNULL,
+                stdout=file,
+                stderr=file,
+                env=environment,
+                start_new_session=True,
+            )
+        self._running.append(_Running(job, process))
+
+    def _take_end(self, running: _Running) -> None:
+        job = running.job
+        if job.ended:
+            self.ended += 1
+            summary = read_summary(job.folder)
+            self._tell(f"{job.name}: {summary['outcome']} after {summary['interactions_total']:,} interactions")
+            return
+        log = job.folder.parent / f"{job.folder.name}.{LOG_FILE}"
+        last = log.read_text(encoding="utf-8", errors="replace").strip().splitlines()[-1:]
+        self.failed[job.name] = f"exit code {running.process.returncode}; {' '.join(last)} ({log})"
+        self._tell(f"{job.name}: {self.failed[job.name]}")
+
+    def stop(self) -> None:
+        """Ask all runs to write a checkpoint and end; kill those that do not within a minute."""
+        for running in self._running:
+            running.process.send_signal(signal.SIGTERM)
+        deadline = time.monotonic() + END_S
+        for running in self._running:
+            try:
+                running.process.wait(max(0.0, deadline - time.monotonic()))
+            except subprocess.TimeoutExpired:
+                running.process.kill()
+                running.process.wait()
+        self._running.clear()
