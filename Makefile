@@ -39,8 +39,8 @@ test: $(STAMP) ## run all tests but the nightly ones: on TEST_CORES cores, then 
 test-nightly: $(STAMP) ## run the long tests that make test leaves out
 	@$(PYTEST) -m nightly $(ARGS)
 
-test-fast: $(STAMP) ## run the tests that start no program, train nothing and take no longer than two seconds
-	@$(PYTEST) -m "not (process or command or training or slow or nightly)" $(PARALLEL) $(ARGS)
+test-fast: $(STAMP) ## run the tests that start no program, train nothing and take about a second at most, with fewer examples
+	@$(PYTEST) -m "not (process or command or training or slow or nightly)" --hypothesis-profile fast $(PARALLEL) $(ARGS)
 
 lint: $(STAMP) ## check style, formatting, and which package may import which
 	@$(BIN)/ruff check

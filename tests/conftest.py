@@ -24,7 +24,7 @@ OUR_CODE = re.compile(r"(?:^|import |from )(?:t4nmtd_dist|coordinator|workers|en
 _running: list[pytest.Item] = []
 
 
-def pytest_configure() -> None:
+def pytest_configure(config: pytest.Config) -> None:
     """Let what the tests start hear Ctrl-C and hang-ups, which children of background jobs and of nohup ignore."""
     for number, default in ((signal.SIGINT, signal.default_int_handler), (signal.SIGHUP, signal.SIG_DFL)):
         if signal.getsignal(number) is signal.SIG_IGN:
@@ -33,7 +33,8 @@ def pytest_configure() -> None:
     sys.addaudithook(_check_marked)
     # Examples have no deadline of their own, since tests share the cores: the timeout is that of the whole test.
     hypothesis.settings.register_profile("project", deadline=None)
-    hypothesis.settings.load_profile("project")
+    hypothesis.settings.register_profile("fast", deadline=None, max_examples=20)
+    hypothesis.settings.load_profile(config.getoption("--hypothesis-profile", None) or "project")
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:

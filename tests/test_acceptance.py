@@ -224,6 +224,7 @@ def policy_of(run: SerialRun, folder: Path) -> GlobalPolicy:
     return load(folder)
 
 
+@pytest.mark.slow
 @pytest.mark.training
 @pytest.mark.parametrize(
     ("formula", "pids"), [(SAFETY, (LAST,)), (STAY_AT_GOAL, ("goal", LAST)), (RESPONSE, ("goal", LAST))]

@@ -146,6 +146,7 @@ def test_a_setting_chooses_the_adapter_and_one_that_does_not_fit_is_refused() ->
 # Snapshots
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["Corridor", "Mixed", "timed", "Named", "Opaque"])
 @settings(max_examples=15, deadline=None)
 @given(before=st.lists(st.integers(0, 1), max_size=12), after=st.lists(st.integers(0, 1), max_size=6))

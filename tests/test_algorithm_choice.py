@@ -111,6 +111,7 @@ def train(*arguments: str) -> int:
     return subprocess.run(command, capture_output=True, text=True, timeout=90).returncode
 
 
+@pytest.mark.slow
 @pytest.mark.command
 def test_a_run_writes_down_what_was_chosen_and_goes_on_with_it(tmp_path: Path) -> None:
     path, run = own_task(tmp_path, PUSHED), tmp_path / "run"

@@ -249,6 +249,7 @@ def texts(state: CoordinatorState) -> list[str]:
     return [line.text for line in list(state.events)]
 
 
+@pytest.mark.slow
 def test_no_lease_is_lost_while_environments_take_longer_than_it_to_be_opened(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -273,6 +274,7 @@ def test_no_lease_is_lost_while_environments_take_longer_than_it_to_be_opened(
     assert not [text for text in texts(state) if " lost: " in text]
 
 
+@pytest.mark.slow
 def test_a_loop_that_hangs_in_an_environment_is_told_of_with_its_place_and_loses_its_lease_in_the_end(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -225,6 +225,7 @@ def test_a_learner_behind_is_served_in_bounded_portions() -> None:
     assert portions > 1
 
 
+@pytest.mark.slow
 def test_great_start_states_are_served_in_portions_that_a_message_can_hold() -> None:
     talk = Conversation()
     talk.claim("p1", "w")

@@ -180,6 +180,7 @@ WRONG = {
 }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("value", WRONG.values(), ids=WRONG.keys())
 def test_wrong_values_fall_back_to_the_own_critic(context: Context, peers: QueryPeers, value: NDArray[Any]) -> None:
     liar = bind(context, zmq.ROUTER, "tcp://127.0.0.1:*")
@@ -213,6 +214,7 @@ BAD_REQUESTS: dict[str, tuple[Message, dict[str, NDArray[Any]]]] = {
 }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("request_", "arrays"), BAD_REQUESTS.values(), ids=BAD_REQUESTS.keys())
 def test_bad_requests_are_answered_and_the_service_goes_on(
     context: Context, service: CriticService, request_: Message, arrays: dict[str, NDArray[Any]]

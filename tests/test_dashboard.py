@@ -271,6 +271,7 @@ STATES = st.builds(
 )
 
 
+@pytest.mark.slow
 @settings(max_examples=60, deadline=None)
 @given(STATES, st.integers(1, 170), st.integers(1, 55))
 def test_any_state_fits_any_terminal(state: DashboardState, width: int, height: int) -> None:

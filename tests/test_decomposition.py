@@ -181,6 +181,7 @@ def graphs(draw: st.DrawFn) -> tuple[set[Edge], set[int]]:
     return draw(st.sets(st.sampled_from(pairs), max_size=18)), targets
 
 
+@pytest.mark.slow
 @settings(max_examples=300)
 @given(graphs())
 def test_pruning_keeps_exactly_the_edges_of_simple_paths(graph: tuple[set[Edge], set[int]]) -> None:

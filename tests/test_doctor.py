@@ -128,6 +128,7 @@ def test_a_wrong_port_where_another_program_listens(greeting: bytes) -> None:
     assert "wrong port?" in found.advice
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("with_keys", [True, False])
 def test_the_dashboards_port(
     with_keys: bool, secured: CoordinatorService, open_to_all: CoordinatorService, keys: Path
@@ -158,6 +159,7 @@ def test_a_key_that_was_revoked(secured: CoordinatorService, keys: Path) -> None
     assert "keys add" in found.advice
 
 
+@pytest.mark.slow
 def test_the_key_of_another_coordinator(secured: CoordinatorService, keys: Path) -> None:
     folder = add_client(keys, "misled")
     (folder / "coordinator.public").unlink()
@@ -191,6 +193,7 @@ def test_another_protocol_version(context: Context) -> None:
     assert "same version" in found.advice
 
 
+@pytest.mark.slow
 def test_a_socket_that_says_nothing(context: Context) -> None:
     silent = bind(context, zmq.ROUTER, FREE_PORT)
     found = failure(bound_endpoint(silent))
@@ -198,6 +201,7 @@ def test_a_socket_that_says_nothing(context: Context) -> None:
     assert "did not answer" in found.text
 
 
+@pytest.mark.slow
 def test_a_firewall_that_drops() -> None:
     """A listener whose queue is full drops what knocks, just as such a firewall does."""
     with ExitStack() as stack:
@@ -215,6 +219,7 @@ def test_a_firewall_that_drops() -> None:
     assert "firewall" in found.advice
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("ahead_s", "verdict"), [(0.5, "ok"), (-4.0, "ok"), (60.0, "warning"), (-60.0, "warning")])
 def test_a_clock_that_differs(ahead_s: float, verdict: str) -> None:
     found = doctor._clock(ahead_s)
@@ -222,6 +227,7 @@ def test_a_clock_that_differs(ahead_s: float, verdict: str) -> None:
     assert ("behind" in found.text) == (ahead_s < 0)
 
 
+@pytest.mark.slow
 def test_a_long_way() -> None:
     assert doctor._round_trip([0.001, 0.5, 0.002]).verdict == "ok"
     assert doctor._round_trip([0.3, 0.5, 0.2]).verdict == "warning"

@@ -67,6 +67,7 @@ def test_the_loss_is_huber_of_the_actions_taken() -> None:
     assert q_loss(q, actions, torch.zeros(2)).item() == pytest.approx((0.5 * 0.5**2 + 3.0 - 0.5) / 2)
 
 
+@pytest.mark.slow
 def test_a_peers_value_enters_at_the_boundaries_it_is_asked_about_and_there_alone(
     drawn: tuple[DQN, DrawnBatch],
 ) -> None:
@@ -92,6 +93,7 @@ def test_a_terminal_is_worth_its_reward_alone(drawn: tuple[DQN, DrawnBatch]) -> 
     assert not np.array_equal(found[~ends], batch.rewards[~ends])
 
 
+@pytest.mark.slow
 def test_a_time_out_bootstraps_and_a_hole_does_not() -> None:
     learner, _ = learner_of_dqn(60)
     replay, task = learner.replay_buffer, small_agent_task("dqn")
@@ -198,6 +200,7 @@ def test_a_replay_too_small_to_ever_learn_is_refused() -> None:
         load_task("task7", flags=["dqn.replay_rows=49"])
 
 
+@pytest.mark.slow
 def test_the_cartpole_loop_updates_as_often_as_the_other_and_falls_are_terminal() -> None:
     cartpole = benchmark("cartpole")
     ours, theirs = cartpole.Ours(0, 700), cartpole.Theirs(0, 700)

@@ -198,6 +198,7 @@ def begun(folder: Path, kind: str) -> SerialRun:
     return SerialRun(task, RunSettings(1, 10**9, lease_s=float("inf")), float)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", ["ppo", "sac"])
 def test_a_serial_run_with_both_modes_goes_on_exactly(kind: str, tmp_path: Path) -> None:
     def rows(run: SerialRun) -> list[Any]:

@@ -201,7 +201,6 @@ def test_a_run_that_cannot_start_is_told_with_its_last_words_and_the_others_go_o
     assert (folder / "letter.txt").exists()
 
 
-
 @pytest.mark.training
 @pytest.mark.timeout(300)
 def test_an_experiment_that_was_stopped_goes_on_and_ends_with_tables(commands: Processes, tmp_path: Path) -> None:

@@ -94,6 +94,7 @@ def test_a_policy_that_is_missing_is_refused_at_once(tmp_path: Path) -> None:
     assert time.monotonic() - began < 0.5
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("left_behind", ["policy.new", "policy.old"])
 def test_an_export_that_was_cut_off_is_waited_for_and_then_named(left_behind: str, tmp_path: Path) -> None:
     (tmp_path / left_behind).mkdir()

@@ -177,6 +177,7 @@ def test_a_restored_snapshot_has_the_same_future_bit_for_bit(
         assert first.get_state().tobytes() == second.get_state().tobytes()
 
 
+@pytest.mark.slow
 @settings(max_examples=60)
 @given(st.data(), all_goals, st.sampled_from(["features", "raw"]))
 def test_the_batch_steps_as_single_lakes_do(data: st.DataObject, goals: int, observation: Any) -> None:

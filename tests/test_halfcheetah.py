@@ -161,6 +161,7 @@ def test_rendering_leaves_the_future_alone() -> None:
     assert np.array_equal(drawn.get_state(), plain.get_state())
 
 
+@pytest.mark.slow
 def test_ten_thousand_random_steps_stay_within_all_ranges_with_right_labels() -> None:
     env = HalfCheetahEnv()
     env.reset(seed=0)

@@ -123,6 +123,7 @@ def reached(initial: int, transitions: tuple[tuple[int, int], ...]) -> set[int]:
     return found
 
 
+@pytest.mark.slow
 @settings(max_examples=300, deadline=None)
 @given(formula_texts(), st.sampled_from([(), (("a", "b"),), (("a", "b", "c"),)]), st.booleans())
 def test_every_state_keeps_a_way_to_acceptance(

@@ -119,6 +119,7 @@ def refusal(formula: str, *flags: str) -> T4NMTDError:
     return caught.value
 
 
+@pytest.mark.slow
 def test_what_takes_too_long_is_refused_with_the_limit_and_what_to_do() -> None:
     text = str(refusal(unordered(TEN), "decomposition.time_limit=1"))
     assert "not compiled within 1 s" in text or "not translated within 1 s" in text

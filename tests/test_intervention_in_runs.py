@@ -31,12 +31,14 @@ def critics_after(algorithm: str, mode: str) -> dict[str, NDArray[np.float32]]:
     return {name: array for name, array in session.learner.weights().items() if name.startswith("critic")}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("algorithm", ["ppo", "sac"])
 def test_peers_values_change_the_critic(algorithm: str) -> None:
     on, off = critics_after(algorithm, "query"), critics_after(algorithm, "off")
     assert any(not np.array_equal(on[name], off[name]) for name in on)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("algorithm", ["ppo", "sac"])
 @pytest.mark.parametrize("way", ["local", "replica"])
 def test_a_serial_run_needs_no_wire_whatever_way_is_set(algorithm: str, way: str) -> None:

@@ -42,6 +42,7 @@ def test_there_are_kept_policies() -> None:
     assert POLICIES, "benchmarks/policies is empty or missing"
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("folder", POLICIES, ids=by_task)
 def test_a_kept_policy_succeeds_from_the_reset_with_a_fresh_seed(folder: Path) -> None:
     policy = load(folder)

@@ -349,6 +349,7 @@ def strangers(folder: Path) -> dict[str, tuple[ClientKeys | None, set[Outcome], 
     }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("who", ["no key", "a key that is not on the list", "another coordinator's key"])
 def test_strangers_are_refused_told_of_once_and_disturb_nobody(running: Running, who: str) -> None:
     keys, outcomes, text = strangers(running.folder)[who]

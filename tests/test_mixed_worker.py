@@ -78,6 +78,7 @@ def answered_by(peers: PeerCritics, hands: tuple[tuple[str, ...], ...]) -> int:
     return (peers.near if hands is TOGETHER else peers.far).counts.answered
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("intervention", ["query", "replica"])
 @pytest.mark.parametrize("hands", [TOGETHER, APART], ids=["together", "apart"])
 def test_learners_of_one_worker_are_asked_directly_and_others_over_the_wire(
@@ -96,6 +97,7 @@ def test_learners_of_one_worker_are_asked_directly_and_others_over_the_wire(
 NEAR, FAR = (("g1", "g4"), ("g2", "g3")), (("g1", "g2"), ("g4", "g3"))  # g1 and g4 begin at the reset of task 6
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("hands", [NEAR, FAR], ids=["together", "apart"])
 def test_learners_learn_from_peers_of_their_worker_directly_and_from_others_over_the_wire(
     hands: tuple[tuple[str, ...], ...], tmp_path: Path

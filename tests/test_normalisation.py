@@ -281,6 +281,7 @@ def test_an_exported_policy_acts_as_it_did(name: str, tmp_path: Path) -> None:
     np.testing.assert_allclose(loaded.actions(at_mean, q)[0], near_0, atol=1e-3)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", WORLDS)
 def test_a_resumed_run_is_equal_bit_for_bit(name: str, tmp_path: Path) -> None:
     task = task_of(name, tmp_path)

@@ -120,6 +120,7 @@ def test_failed_attempts_leave_q_as_it_is(task7: CompiledTask) -> None:
     assert ours.entries() == [(task7.dfa.initial, "p1", 0.0)]
 
 
+@pytest.mark.slow
 @given(STATES, st.one_of(st.none(), st.integers(0, 2)), st.integers(0, 2**32 - 1))
 def test_start_states_are_drawn_uniformly_from_all_that_were_stored(
     stored: list[tuple[int, int]], reset_q: int | None, seed: int

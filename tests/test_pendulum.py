@@ -30,6 +30,7 @@ def trained(make: Any, interactions: int = INTERACTIONS) -> Any:
     return agent
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("name", "interactions"), [("Ours", INTERACTIONS), ("Theirs", SOME)])
 def test_updates_are_one_per_interaction_after_the_first_hundred_and_returns_are_finite(
     name: str, interactions: int, pendulum: ModuleType
@@ -76,6 +77,7 @@ def test_both_begin_in_the_same_state_and_have_the_same_sizes(pendulum: ModuleTy
     assert ours._updater.weights()["log_alpha"] == theirs._sac.log_ent_coef.item() == 0.0
 
 
+@pytest.mark.slow
 def test_a_run_is_the_same_whoever_trains_beside_it(pendulum: ModuleType) -> None:
     alone = trained(pendulum.Theirs, SOME)
     beside, other = pendulum.Theirs(0, SOME, TINY), pendulum.Ours(0, SOME, TINY)

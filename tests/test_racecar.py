@@ -242,6 +242,7 @@ def test_every_step_follows_the_specification(state: NDArray[np.float64], action
         expected = env.get_state().tolist()
 
 
+@pytest.mark.slow
 def test_ten_thousand_random_steps_stay_within_all_ranges_with_right_labels() -> None:
     raw, features = RacecarEnv(observation="raw"), RacecarEnv()
     actions = np.random.default_rng(0).uniform(-1, 1, (500, 2)).repeat(20, axis=0).astype(np.float32)

@@ -218,6 +218,7 @@ def test_a_change_on_the_step_on_which_the_environment_ends_is_no_boundary() -> 
 # Steps before successes, and sampling
 
 
+@pytest.mark.slow
 @settings(max_examples=100, deadline=None)
 @given(
     seed=seeds,

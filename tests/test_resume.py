@@ -108,6 +108,7 @@ def through_files(run: SerialRun, folder: Path) -> Any:
     return found.state
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("kind", "before", "after"), [("ppo", 2, 2), ("ppo", 0, 1), ("sac", 6, 4), ("sac", 1, 2)])
 def test_a_run_stopped_between_rounds_goes_on_as_if_nothing_had_been(
     kind: str, before: int, after: int, tmp_path: Path

@@ -200,6 +200,7 @@ def crossing_learner(*flags: str, silent: int = 0) -> tuple[OffPolicyLearner, Ch
     return learner, CheckedPeers(others, silent)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("n_step", [1, 4])
 @pytest.mark.parametrize("shaping", ["paper", "potential", "subtask"])
 def test_across_a_boundary_the_peers_pair_enters_the_target(shaping: str, n_step: int) -> None:

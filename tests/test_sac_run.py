@@ -229,6 +229,7 @@ def fits(request: dict[str, NDArray[Any]]) -> bool:
     return right and q.dtype.kind == "i" and all(0 <= state < 6 for state in q)
 
 
+@pytest.mark.slow
 @settings(max_examples=200, deadline=None)
 @given(question=questions)
 @example(question={"observation": np.full((1, 23), np.nan, np.float32), "q": np.zeros(1, np.int32)})

@@ -78,6 +78,7 @@ seeds = st.integers(0, 2**20)
 rows = st.integers(1, 9)
 
 
+@pytest.mark.slow
 @settings(max_examples=60, deadline=None)
 @given(shapes, rows, seeds)
 def test_evaluation_and_weight_gradients_are_those_of_autograd(shape: StackShape, rows: int, seed: int) -> None:
@@ -396,6 +397,7 @@ def test_weights_of_another_shape_are_refused_by_name() -> None:
         updater.load(SACUpdater(6, 2, SMALL, seed=1).weights())
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("layer_norm", [False, True])
 def test_critics_learn_the_rewards_of_a_batch_of_terminals(layer_norm: bool) -> None:
     chosen = SACSettings(learning_rate=3e-3, hidden=(32, 32), layer_norm=layer_norm)

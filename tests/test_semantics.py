@@ -98,6 +98,7 @@ def check_against_semantics(text: str, result: DFA | str) -> None:
         np.testing.assert_array_equal(accepted(result, ALL_TRACES[length]), expected)
 
 
+@pytest.mark.slow
 @settings(max_examples=300, deadline=None)
 @given(formula_texts())
 @example("a -> b -> c")
@@ -120,6 +121,7 @@ def test_mona_and_python_build_the_same_automaton(text: str) -> None:
     check_against_semantics(text, by_mona)
 
 
+@pytest.mark.slow
 @settings(max_examples=200, deadline=None)
 @given(formula_texts(), st.lists(st.frozensets(st.sampled_from(NAMES)), min_size=1, max_size=5))
 def test_evaluation_follows_the_definition(text: str, trace: list[frozenset[str]]) -> None:

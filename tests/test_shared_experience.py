@@ -212,6 +212,7 @@ def test_a_peer_that_begins_anew_and_has_caught_up_is_noticed(context: Context, 
     copies.close()
 
 
+@pytest.mark.slow
 def test_much_experience_comes_in_parts(context: Context, service: CriticService) -> None:
     learner, count = small_sac("g1"), 2
     wide = ReplayBuffer(3000, count, 200, ACTIONS)
@@ -370,6 +371,7 @@ def taught(share: float, **flags: str) -> tuple[OffPolicyLearner, OffPolicyLearn
     return first, second
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("share", [0.0, 0.25, 0.5, 1.0])
 def test_a_share_of_a_batch_is_read_from_peers(share: float) -> None:
     first, second = taught(share)
@@ -435,6 +437,7 @@ def test_all_peers_together_are_kept_as_long_as_the_own_experience() -> None:
     assert small_sac("g1", "sac.peer_share=0.0").peer_steps == 0
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("success", "least", "most"), [(0.0, 0.8, 0.95), (0.5, 0.2, 0.35), (1.0, 0.0, 0.05)])
 def test_a_learner_that_fails_reads_more_of_the_rows_in_which_it_would_have_succeeded(
     success: float, least: float, most: float

@@ -215,6 +215,7 @@ BAD_FRAMES = {
 }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("frames", BAD_FRAMES.values(), ids=BAD_FRAMES.keys())
 def test_the_coordinator_answers_malformed_frames_and_goes_on(running: Running, frames: list[bytes]) -> None:
     socket = running.worker()

@@ -268,6 +268,7 @@ class OneWorker:
             self.stand_in.take(self.answers.pop(0))
 
 
+@pytest.mark.slow
 @settings(max_examples=12, deadline=None)
 @given(st.integers(1, 60), st.floats(0.02, 0.5), st.floats(0.3, 4.0))
 def test_a_worker_evaluates_for_a_tenth_of_its_time_at_most(steps: int, step_s: float, learn_s: float) -> None:

@@ -174,6 +174,7 @@ def test_endings_are_counted_since_the_lease_began_and_added_over_epochs() -> No
     assert (made.total.errors, made.total.timeouts, made.total.terminated) == (1600, 29_999, 802)
 
 
+@pytest.mark.slow
 def test_a_real_run_whose_attempts_are_too_short_says_so() -> None:
     run = SerialRun(small_task("learner.attempt_steps=2"), RunSettings(0, 10**9, lease_s=float("inf")), time.monotonic)
     for _ in range(300):
