@@ -37,7 +37,13 @@ def export_best(state: CoordinatorState, folder: Path) -> None:
         "outcome": state.outcome,
         "row": msgspec.to_builtins(row),
     }
-    export_policy(folder, state.task, snapshot.q_table, snapshot.weights, about, mode=row.actions)
+    learners = state.outcome == "solved" and all(map(_is_whole, snapshot.weights.values()))
+    export_policy(folder, state.task, snapshot.q_table, snapshot.weights, about, mode=row.actions, learners=learners)
+
+
+def _is_whole(weights: Mapping[str, NDArray[Any]]) -> bool:
+    """Whether weights are a learner's, not those that an earlier export kept of it."""
+    return any(name.partition(".")[0] not in ("actor", "normalisation") for name in weights)
 
 
 def consider_exported(state: CoordinatorState, folder: Path, warn: Warn) -> None:

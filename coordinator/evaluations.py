@@ -181,14 +181,18 @@ class EvaluationSchedule:
 
     @property
     def solved(self) -> bool:
-        """Whether enough consecutive evaluations succeeded."""
+        """Whether enough consecutive evaluations succeeded, and converged if the settings ask for it."""
+        return self.converged if self.config.until == "converged" else self._succeeded
+
+    @property
+    def _succeeded(self) -> bool:
         return self.in_a_row >= self.config.in_a_row
 
     @property
     def converged(self) -> bool:
-        """Solved, with a relative standard deviation of those mean episode lengths below 10 %."""
+        """Enough consecutive successes, with a relative standard deviation of their mean episode lengths below 10 %."""
         lengths = [row.mean_length for row in self.history[-self.config.in_a_row :]]
-        return self.solved and float(np.std(lengths)) < CONVERGED_LENGTH_SPREAD * float(np.mean(lengths))
+        return self._succeeded and float(np.std(lengths)) < CONVERGED_LENGTH_SPREAD * float(np.mean(lengths))
 
     @property
     def solved_at(self) -> int | None:

@@ -12,6 +12,7 @@ class RunSettings:
     Attributes:
         run_id: identifies the run across resumes, so that workers recognise its checkpoints.
         lease_s: seconds of silence until a worker is lost.
+        transfer_from: folder of the policy whose networks sub-tasks of the same name begin with; "" for none.
     """
 
     seed: int
@@ -19,3 +20,4 @@ class RunSettings:
     run_dir: str = ""
     lease_s: float = 10.0
     run_id: str = ""
+    transfer_from: str = ""

@@ -154,6 +154,7 @@ def summary(state: CoordinatorState) -> dict[str, Any]:
         "interactions_total": state.interactions,
         "success_rate": last.success_rate if last else 0.0,
         "episode_length": last.mean_length if last else None,
+        "transfer_from": state.settings.transfer_from or None,
         "in_a_row": evaluations.config.in_a_row,
         "policy": _policy_summary(_kept(state)),
         "evaluations": len(evaluations.history),

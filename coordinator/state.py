@@ -75,7 +75,12 @@ class CoordinatorState:
         outcome: how the run ended; None while it is running.
     """
 
-    def __init__(self, task: CompiledTask, settings: RunSettings) -> None:
+    def __init__(
+        self,
+        task: CompiledTask,
+        settings: RunSettings,
+        transferred: Mapping[str, Mapping[str, NDArray[Any]]] | None = None,
+    ) -> None:
         self.task, self.settings = task, settings
         self.method = task.method()
         self.rng = np.random.default_rng([settings.seed, 2])
@@ -91,6 +96,10 @@ class CoordinatorState:
         self.snapshot: NDArray[Any] | None = None
         self.outcome: Outcome | None = None
         self._growing = Monotone()
+        for pid, weights in (transferred or {}).items():
+            self.records[pid].version, self.records[pid].weights = 1, weights
+        if transferred:
+            self._log.add(f"{', '.join(transferred)}: begin with the networks of {settings.transfer_from}")
 
     @property
     def events(self) -> deque[EventLine]:

@@ -13,7 +13,8 @@ from processes import Processes
 from t4nmtd_dist.cli.experiment import parse_seeds, plot_curves, print_tables
 from t4nmtd_dist.core.errors import ConfigError, RunError
 from t4nmtd_dist.core.setting_sources import settings_from_flags
-from t4nmtd_dist.experiments.arms import CAPS, EXPERIMENTS, applies, check_tasks, experiment
+from t4nmtd_dist.environments.timed import make_task_env
+from t4nmtd_dist.experiments.arms import CAPS, EXPERIMENTS, PAIRS, applies, check_tasks, experiment
 from t4nmtd_dist.experiments.jobs import Job, JobQueue, make_jobs
 from t4nmtd_dist.experiments.results import keep, read_results
 from t4nmtd_dist.experiments.tables import tables
@@ -60,6 +61,36 @@ def test_every_arms_settings_are_known_and_every_task_has_a_cap() -> None:
         for arm in each.arms:
             assert settings_from_flags(arm.settings) is not None
             load_task("task5", flags=arm.settings, preset=arm.preset)
+
+
+@pytest.mark.parametrize("task", task_names())
+def test_transfer_changes_where_networks_come_from_and_nothing_else(task: str, tmp_path: Path) -> None:
+    chosen = EXPERIMENTS["transfer"]
+    jobs = make_jobs(chosen, chosen.chosen(["transfer"]), [task], [4], tmp_path)
+    source, job = jobs
+    assert (source.arm.name, source.task, source.source) == ("scratch", PAIRS[task], None)
+    assert (job.arm.name, job.task, job.source) == ("transfer", task, source.folder)
+    scratch = next(each for each in make_jobs(chosen, chosen.arms, [task], [4], tmp_path) if each.task == task)
+    assert scratch.settings == job.settings
+    config = load_task(task, flags=job.settings)
+    assert config.evaluation.until == "converged"
+    sizes = [make_task_env(load_task(each.task, flags=each.settings), 1).observation_size for each in (source, scratch)]
+    assert sizes[0] == sizes[1]
+
+
+def test_a_transfer_waits_for_its_source_and_is_given_up_if_that_was_not_solved(tmp_path: Path) -> None:
+    chosen = EXPERIMENTS["transfer"]
+    jobs = make_jobs(chosen, chosen.arms, ["task7"], [0], tmp_path)
+    assert [(job.arm.name, job.task) for job in jobs] == [
+        ("scratch", "task8"), ("scratch", "task7"), ("transfer", "task7")
+    ]  # fmt: skip
+    for job in jobs[:2]:
+        job.folder.mkdir(parents=True)
+        summary = {"outcome": "budget spent", "interactions_total": 1}
+        (job.folder / "summary.json").write_text(json.dumps(summary), encoding="utf-8")
+    queue = JobQueue(jobs, parallel=1, tell=lambda _: None)
+    assert not queue.turn()
+    assert "was not solved" in queue.failed["transfer task7 seed 0"]
 
 
 def test_every_run_has_a_folder_of_its_own_and_seeds_are_paired(tmp_path: Path) -> None:

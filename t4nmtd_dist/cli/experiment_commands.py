@@ -8,7 +8,7 @@ from typing import Annotated, Literal
 
 import tyro
 
-Name = Annotated[Literal["comparison", "decomposition", "intervention"], tyro.conf.Positional]
+Name = Annotated[Literal["comparison", "decomposition", "intervention", "transfer"], tyro.conf.Positional]
 ROOT = Path("runs/experiments")
 
 

@@ -178,6 +178,8 @@ class EvaluationConfig:
     """When the global policy is evaluated and when the task counts as solved.
 
     Attributes:
+        until: end a run when ``solved``, or when ``converged``: solved, with mean episode lengths of the solving
+            evaluations that differ by less than 10 % (the paper's convergence).
         episodes: episodes per evaluation.
         every: interactions between evaluations.
         in_a_row: consecutive successful evaluations that solve the task.
@@ -187,6 +189,7 @@ class EvaluationConfig:
             one mode.
     """
 
+    until: Literal["solved", "converged"] = "solved"
     episodes: Count = 20
     every: Count = 5000
     in_a_row: Count = 5

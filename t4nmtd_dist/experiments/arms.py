@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
 
 from t4nmtd_dist.core.config import TaskConfig
 from t4nmtd_dist.core.errors import ConfigError
@@ -21,6 +21,27 @@ CAPS = {
 }
 """Interactions after which a run counts as unsolved: ten times the mean that T4NMTD took when they were fixed."""
 
+PAIRS = {
+    "task1": "task2",
+    "task2": "task1",
+    "task3": "task4",
+    "task4": "task3",
+    "task5": "task6",
+    "task6": "task5",
+    "task7": "task8",
+    "task8": "task7",
+}
+"""Experiment 4: the task that a task's networks come from."""
+
+CONVERGED = ("evaluation.until=converged",)
+BOTH_PONDS = {
+    "task1": (
+        "environment.options.colours=8",
+        'propositions=["red", "blue", "green", "pink", "black", "white", "grey", "yellow"]',
+    )
+}
+"""Experiment 4 trains task 1 among the 24 balls of task 2, from scratch too, since observations must be alike."""
+
 PLAIN = ("sac.relabel_share=0", "sac.peer_share=0")
 
 
@@ -33,12 +54,14 @@ class Arm:
         settings: ``key=value`` as for ``--set``; arms of an experiment differ in nothing else.
         preset: as for ``--preset``.
         plain: an arm without relabelling and peers' experience, which are not in the paper.
+        source: arm of whose run, of the same seed and the task that ``PAIRS`` names, the networks are transferred.
     """
 
     name: str
     settings: tuple[str, ...] = ()
     preset: str = ""
     plain: bool = False
+    source: str = ""
 
 
 @dataclass(frozen=True)
@@ -48,11 +71,13 @@ class Experiment:
     Attributes:
         title: a heading.
         arms: the first is what the others are compared with.
+        by_task: settings of all arms in a task.
     """
 
     name: str
     title: str
     arms: tuple[Arm, ...]
+    by_task: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
 
     def chosen(self, names: Sequence[str]) -> tuple[Arm, ...]:
         """The arms of these names, in the experiment's order; all for none.
@@ -95,6 +120,12 @@ EXPERIMENTS = {
             "intervention",
             "Experiment 3: with and without policy intervention",
             _with_plain([Arm("intervention"), Arm("off", ("learner.intervention=off",))]),
+        ),
+        Experiment(
+            "transfer",
+            "Experiment 4: from scratch, or from the networks of another task",
+            (Arm("scratch", CONVERGED), Arm("transfer", CONVERGED, source="scratch")),
+            by_task=BOTH_PONDS,
         ),
     )
 }

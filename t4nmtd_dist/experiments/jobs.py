@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from t4nmtd_dist.core.errors import RunError
-from t4nmtd_dist.experiments.arms import CAPS, Arm, Experiment, applies
+from t4nmtd_dist.experiments.arms import CAPS, PAIRS, Arm, Experiment, applies
 from t4nmtd_dist.launch.command_lines import python_command
 from t4nmtd_dist.runs.directory import CHECKPOINTS_FOLDER, SUMMARY_FILE, read_summary
 from t4nmtd_dist.runs.resuming import IDENTITY_FILE
@@ -32,6 +32,8 @@ class Job:
     Attributes:
         cap: budget in interactions.
         folder: its run directory, named after experiment, arm, task and seed.
+        settings: ``key=value`` for ``--set``.
+        source: run whose networks are transferred; the job waits for it.
     """
 
     arm: Arm
@@ -39,6 +41,8 @@ class Job:
     seed: int
     cap: int
     folder: Path
+    settings: tuple[str, ...] = ()
+    source: Path | None = None
 
     @property
     def name(self) -> str:
@@ -48,10 +52,7 @@ class Job:
     @property
     def ended(self) -> bool:
         """Whether it was solved or spent its budget."""
-        try:
-            return (self.folder / SUMMARY_FILE).exists() and read_summary(self.folder)["outcome"] in ENDED
-        except (RunError, KeyError):
-            return False
+        return outcome(self.folder) in ENDED
 
     def command(self, launcher: str) -> list[str]:
         """Begin the run, or resume it from its checkpoints."""
@@ -61,8 +62,17 @@ class Job:
             return [*command, "--resume", str(self.folder)]
         command += ["--task", self.task, "--seed", str(self.seed), "--max-interactions", str(self.cap), "--restart"]
         command += ["--preset", self.arm.preset] if self.arm.preset else []
-        command += [part for setting in self.arm.settings for part in ("--set", setting)]
+        command += [part for setting in self.settings for part in ("--set", setting)]
+        command += ["--transfer-from", str(self.source)] if self.source is not None else []
         return [*command, "--run-dir", str(self.folder), "--tensorboard", "off"]
+
+
+def outcome(folder: Path) -> str:
+    """How the run in a folder ended; "" if it has not, or there is none."""
+    try:
+        return str(read_summary(folder)["outcome"]) if (folder / SUMMARY_FILE).exists() else ""
+    except (RunError, KeyError):
+        return ""
 
 
 def make_jobs(
@@ -76,6 +86,8 @@ def make_jobs(
 ) -> list[Job]:
     """All jobs of an experiment, seed by seed, so that an unfinished queue has few seeds of everything.
 
+    An arm whose networks come from another task needs that task's run, which is added.
+
     Args:
         experiment: names their folder.
         arms: of the experiment.
@@ -84,18 +96,22 @@ def make_jobs(
         root: of all experiments.
         cap_share: factor on the caps.
     """
+    home = root / experiment.name
+    wanted = {(arm, task): None for task in tasks for arm in arms if applies(arm, load_task(task))}
+    by_name = {arm.name: arm for arm in experiment.arms}
+    sources = {(by_name[arm.source], PAIRS[task]): None for arm, task in wanted if arm.source}
     return [
         Job(
             arm,
             task,
             seed,
             round(CAPS[task] * cap_share),
-            root / experiment.name / arm.name / f"{task}-s{seed}",
+            home / arm.name / f"{task}-s{seed}",
+            (*arm.settings, *experiment.by_task.get(task, ())),
+            home / arm.source / f"{PAIRS[task]}-s{seed}" if arm.source else None,
         )
         for seed in seeds
-        for task in tasks
-        for arm in arms
-        if applies(arm, load_task(task))
+        for arm, task in sources | wanted
     ]
 
 
@@ -144,14 +160,30 @@ class JobQueue:
             if running.process.poll() is not None:
                 self._running.remove(running)
                 self._take_end(running)
-        while self._waiting and len(self._running) < self._parallel:
-            self._start(self._waiting.pop(0))
+        while len(self._running) < self._parallel and (job := self._next()) is not None:
+            self._start(job)
         return bool(self._running)
+
+    def _next(self) -> Job | None:
+        """The first job that waits for no other; those whose source failed are given up."""
+        for job in list(self._waiting):
+            source = "solved" if job.source is None else outcome(job.source)
+            if source == "solved":
+                self._waiting.remove(job)
+                return job
+            unfinished = [other for other in [*self._waiting, *self.running] if other.folder == job.source]
+            if not unfinished:
+                self._waiting.remove(job)
+                self._fail(job, f"the run that its networks would come from was not solved: {job.source}")
+        return None
+
+    def _fail(self, job: Job, why: str) -> None:
+        self.failed[job.name] = why
+        self._tell(f"{job.name}: {why}")
 
     def _start(self, job: Job) -> None:
         if is_locked(job.folder):
-            self.failed[job.name] = f"another process trains in {job.folder}"
-            self._tell(f"{job.name}: {self.failed[job.name]}")
+            self._fail(job, f"another process trains in {job.folder}")
             return
         job.folder.parent.mkdir(parents=True, exist_ok=True)
         log = job.folder.parent / f"{job.folder.name}.{LOG_FILE}"
@@ -176,8 +208,7 @@ class JobQueue:
             return
         log = job.folder.parent / f"{job.folder.name}.{LOG_FILE}"
         last = log.read_text(encoding="utf-8", errors="replace").strip().splitlines()[-1:]
-        self.failed[job.name] = f"exit code {running.process.returncode}; {' '.join(last)} ({log})"
-        self._tell(f"{job.name}: {self.failed[job.name]}")
+        self._fail(job, f"exit code {running.process.returncode}; {' '.join(last)} ({log})")
 
     def stop(self) -> None:
         """Ask all runs to write a checkpoint and end; kill those that do not within a minute."""

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from pathlib import Path
 
+from t4nmtd_dist.agents.weights import Weights
 from t4nmtd_dist.core.devices import Device
 from t4nmtd_dist.environments.cautions import cautions
 from t4nmtd_dist.environments.preparation import prepared
@@ -42,10 +43,25 @@ def build_program(
         KeyFileError: if the keys cannot be used.
     """
     task = ready_task(plan, options, warn)
+    transferred_weights(task, options)  # so that a misfit is told before anything starts
     roles = make_roles(task.decomposition.pids, workers)
     if keys is not None:
         load_client(keys)
     return Program(plan, task, options, roles, keys, device, dashboard)
+
+
+def transferred_weights(task: CompiledTask, options: RunOptions) -> dict[str, Weights]:
+    """The networks that sub-tasks begin with; none without ``transfer_from``.
+
+    Raises:
+        PolicyError: if they do not fit the task; names what does not.
+    """
+    if options.transfer_from is None:
+        return {}
+    from t4nmtd_dist.environments.timed import make_task_env
+    from t4nmtd_dist.policy.transfer import read_source, transferred
+
+    return transferred(read_source(options.transfer_from), task, make_task_env(task.config, 1).observation_size)
 
 
 def ready_task(plan: RunPlan, options: RunOptions, warn: Callable[[str], object]) -> CompiledTask:

@@ -26,6 +26,8 @@ def coordinator_command(program: Program) -> list[str]:
         command += ["--seed", str(options.seed)]
     if options.max_interactions is not None:
         command += ["--max-interactions", str(options.max_interactions)]
+    if options.transfer_from is not None:
+        command += ["--transfer-from", str(options.transfer_from)]
     if options.preset:
         command += ["--preset", options.preset]
     for path in options.config:

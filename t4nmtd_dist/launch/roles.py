@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
+from t4nmtd_dist.launch.build import transferred_weights
 from t4nmtd_dist.launch.program import Program, Role
 from t4nmtd_dist.method.compiled import CompiledTask
 from t4nmtd_dist.runs.directory import CHECKPOINTS_FOLDER
@@ -40,6 +41,7 @@ def coordinator_service(
     Raises:
         ConfigError: if the task or its weights are too large for a message, or an endpoint cannot be used.
         KeyFileError: if the keys cannot be used.
+        PolicyError: if the networks to transfer do not fit.
         RunError: if the run directory cannot be used.
     """
     from coordinator.run_settings import RunSettings
@@ -49,7 +51,9 @@ def coordinator_service(
 
     check_task_size(task)
     budget, run_id = plan.config.max_interactions, plan.identity.run_id
-    state = CoordinatorState(task, RunSettings(plan.seed, budget, str(plan.directory), lease_s, run_id))
+    origin = "" if options.transfer_from is None else str(options.transfer_from)
+    settings = RunSettings(plan.seed, budget, str(plan.directory), lease_s, run_id, origin)
+    state = CoordinatorState(task, settings, transferred_weights(task, options))
     storage = RunStorage(plan.directory, options.restart, plan.resumes, options.checkpoint_every, options.tensorboard)
     return CoordinatorService(state, storage, access, by_hand=by_hand)
 

@@ -5,8 +5,8 @@ It uses the distributed system's own states, learners and messages, without the 
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass, field
 
 import torch
 
@@ -15,6 +15,7 @@ from coordinator.run_settings import RunSettings
 from coordinator.saved_state import load_saved_state, saved_state
 from coordinator.state import CoordinatorState
 from t4nmtd_dist.agents.common.peer_values import InterventionCounts, LocalPeers, NoPeers, PeerCritics
+from t4nmtd_dist.agents.weights import Weights
 from t4nmtd_dist.core.devices import Device
 from t4nmtd_dist.core.errors import LeaseError
 from t4nmtd_dist.core.state_dict import State
@@ -33,16 +34,18 @@ class SerialRun:
         settings: seed and budget.
         clock: seconds; for display, never for decisions.
         device: device of all networks.
+        transferred: networks that sub-tasks begin with.
     """
 
     task: CompiledTask
     settings: RunSettings
     clock: Callable[[], float]
     device: Device = "cpu"
+    transferred: Mapping[str, Weights] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         torch.set_num_threads(1)
-        self.coordinator = CoordinatorState(self.task, self.settings)
+        self.coordinator = CoordinatorState(self.task, self.settings, self.transferred)
         self.sessions = {pid: self._begin(pid) for pid in self.task.decomposition.pids}
         experiences = {
             pid: s.learner.replay_buffer for pid, s in self.sessions.items() if s.learner.replay_buffer is not None

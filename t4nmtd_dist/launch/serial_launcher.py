@@ -10,6 +10,7 @@ from coordinator.finishing import retry_pauses, write_result
 from coordinator.run_logger import RunLogger
 from coordinator.run_settings import RunSettings
 from coordinator.snapshot import status
+from t4nmtd_dist.launch.build import transferred_weights
 from t4nmtd_dist.launch.program import Program
 from t4nmtd_dist.launch.protocol import BUDGET_SPENT, SOLVED, STOPPED, Handle, Supervisor
 from t4nmtd_dist.launch.serial import SerialRun
@@ -41,7 +42,7 @@ class SerialHandle:
 
     def __init__(self, program: Program, supervisor: Supervisor) -> None:
         self._program, self._interrupted = program, supervisor.interrupted
-        plan = program.plan
+        plan, options = program.plan, program.options
         self._directory = RunDirectory(plan.directory, resume=plan.resumes)
         self._directory.lock()
         settings = RunSettings(
@@ -50,8 +51,10 @@ class SerialHandle:
             str(plan.directory),
             lease_s=float("inf"),
             run_id=plan.identity.run_id,
+            transfer_from="" if options.transfer_from is None else str(options.transfer_from),
         )
-        self._run = SerialRun(program.task, settings, time.monotonic, program.device)
+        weights = transferred_weights(program.task, options)
+        self._run = SerialRun(program.task, settings, time.monotonic, program.device, weights)
         self._checkpoints = SerialCheckpoints(self._run, self._directory, program.options.checkpoint_every)
         if plan.resumes:
             self._checkpoints.resume()

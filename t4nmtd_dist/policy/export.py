@@ -28,6 +28,8 @@ from t4nmtd_dist.method.high_level import QEntries
 POLICY_FORMAT = 1
 POLICY_FILE = "policy.json"
 ACTORS_FILE = "actors.safetensors"
+LEARNERS_FILE = "learners.safetensors"
+"""All parameters of the learners of a solved run, for ``policy.transfer``; a policy acts without it."""
 PATIENCE_S = 1.0
 RETRY_S = 0.01
 
@@ -40,6 +42,7 @@ def export_policy(
     about: Mapping[str, Any],
     *,
     mode: ActionMode = "greedy",
+    learners: bool = False,
 ) -> None:
     """Write the global policy to a new folder, then replace ``folder`` by two renames.
 
@@ -47,9 +50,10 @@ def export_policy(
         folder: the destination.
         task: the compiled task.
         q_table: known entries of Q(q, T).
-        weights: parameters by pid; only those of the acting actors are kept.
+        weights: parameters by pid; the policy has those of the acting actors.
         about: its origin (interactions, versions, seed).
         mode: action mode it was evaluated in.
+        learners: keep all parameters, too, for a transfer to another task.
 
     Raises:
         OSError: if it cannot be written.
@@ -58,15 +62,9 @@ def export_policy(
     for left_behind in (fresh, old):
         shutil.rmtree(left_behind, ignore_errors=True)
     fresh.mkdir(parents=True)
-    actors = {
-        f"{pid}/{name}": np.ascontiguousarray(array)
-        for pid, named in weights.items()
-        for name, array in acting_parameters(named).items()
-    }
-    try:
-        save_file(actors, fresh / ACTORS_FILE)
-    except SafetensorError as error:
-        raise OSError(f"{fresh / ACTORS_FILE}: {error}") from None
+    _save({pid: acting_parameters(named) for pid, named in weights.items()}, fresh / ACTORS_FILE)
+    if learners:
+        _save(weights, fresh / LEARNERS_FILE)
     data = {
         "format": POLICY_FORMAT,
         "about": dict(about),
@@ -82,6 +80,16 @@ def export_policy(
         os.replace(folder, old)
     os.replace(fresh, folder)
     shutil.rmtree(old, ignore_errors=True)
+
+
+def _save(weights: Mapping[str, Mapping[str, NDArray[Any]]], path: Path) -> None:
+    arrays = {
+        f"{pid}/{name}": np.ascontiguousarray(array) for pid, named in weights.items() for name, array in named.items()
+    }
+    try:
+        save_file(arrays, path)
+    except SafetensorError as error:
+        raise OSError(f"{path}: {error}") from None
 
 
 def _beside(folder: Path) -> tuple[Path, Path]:

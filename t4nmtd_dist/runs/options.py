@@ -19,6 +19,8 @@ class RunOptions:
     """Seed of networks, exploration and environments; by default 0."""
     resume: Path | None = None
     """Go on with the stopped run in this folder, under its own settings; --max-interactions may give it more."""
+    transfer_from: Path | None = None
+    """Begin the sub-tasks that a solved run has, too, with its networks (all else begins anew); a run or a policy."""
     trust: bool = False
     """Import the code that the run to resume names, whoever made it; without this, only what you have run before."""
     checkpoint_every: float = 300.0

@@ -68,6 +68,8 @@ def plan_run(options: RunOptions, *, serial: bool = False, warn: Warn = print) -
     if not options.checkpoint_every > 0:
         raise ConfigError(f"--checkpoint-every {options.checkpoint_every}: expected seconds above 0")
     if options.resume is not None:
+        if options.transfer_from is not None:
+            raise ConfigError("--transfer-from begins a run and --resume goes on with one: give one of them")
         return _resumed(options, options.resume, serial, warn)
     if not options.task:
         raise ConfigError("expected --task NAME for a new run, or --resume RUN to go on with one")
