@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import signal
+import time
 from pathlib import Path
 from typing import Any
 
@@ -219,17 +220,19 @@ def test_runs_that_have_not_ended_count_for_nothing(results: Path) -> None:
 @pytest.mark.command
 def test_a_run_that_cannot_start_is_told_with_its_last_words_and_the_others_go_on(tmp_path: Path) -> None:
     arm = EXPERIMENTS["comparison"].arms[0]
-    folder = tmp_path / "taken"
-    folder.mkdir()
-    (folder / "letter.txt").write_text("not a run", encoding="utf-8")
     told: list[str] = []
-    queue = JobQueue([Job(arm, "task7", 0, 500, folder)], parallel=1, tell=told.append)
+    jobs = [
+        Job(arm, "task7", 0, 500, tmp_path / "wrong", ("learner.method=nope",)),
+        Job(arm, "task7", 1, 500, tmp_path / "right"),
+    ]
+    queue = JobQueue(jobs, parallel=1, tell=told.append)
     while queue.turn():
-        pass
-    assert queue.ended == 0
-    assert "exit code 2" in queue.failed["t4nmtd task7 seed 0"]
-    assert told
-    assert (folder / "letter.txt").exists()
+        time.sleep(0.1)
+    assert queue.ended == 1
+    assert list(queue.failed) == ["t4nmtd task7 seed 0"]
+    assert "exit code 2; t4nmtd: " in queue.failed["t4nmtd task7 seed 0"]
+    assert "unknown method 'nope'" in told[0]
+    assert jobs[1].ended
 
 
 @pytest.mark.training
