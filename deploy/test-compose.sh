@@ -64,7 +64,7 @@ SECONDS=0
 $COMPOSE up -d --scale worker=$workers >"$folder/up.log" 2>&1 || { cat "$folder/up.log"; fail "up"; }
 say "up after $SECONDS s, the coordinator healthy"
 coordinator=$($COMPOSE ps -q coordinator)
-until_true 'any(row["updates"] for row in s["learners"])' "a first learning step"
+until_true 'any(row["total"]["gradient_steps"] for row in s["learners"])' "a first learning step"
 say "first learning step $SECONDS s after up began"
 
 # As soon as it learns: its worker's container, and the number of its lease.

@@ -2,13 +2,22 @@
 
 from __future__ import annotations
 
+import json
 import os
+import re
 import subprocess
 from collections.abc import Sequence
 from pathlib import Path
 
+import msgspec
 import pytest
+from small_tasks import small_task
 
+from coordinator.run_settings import RunSettings
+from coordinator.snapshot import status
+from coordinator.state import CoordinatorState
+
+COMPOSE_TEST = Path(__file__).parent.parent / "deploy" / "test-compose.sh"
 SCRIPT = Path(__file__).parent.parent / "deploy" / "container" / "t4nmtd-run-coordinator"
 CRASHED, SOLVED = 9, 0
 STAND_IN = """#!/bin/sh
@@ -80,3 +89,23 @@ def test_an_end_that_is_none_of_its_doing_is_passed_on(code: int, tmp_path: Path
 def test_it_gives_up_after_five_crashes(tmp_path: Path) -> None:
     code, told = calls(tmp_path, [CRASHED] * 10)
     assert (code, len(told)) == (CRASHED, 6)
+
+
+def test_a_preset_is_passed_on(tmp_path: Path) -> None:
+    _, (first,) = calls(tmp_path, [SOLVED], PRESET="paper")
+    assert first.startswith("--task task7 --preset paper --seed 5 ")
+
+
+def test_the_compose_test_asks_for_what_a_status_has() -> None:
+    """Every Python expression of the script can be evaluated; one that cannot reads as "not yet" for ever."""
+    script = COMPOSE_TEST.read_text(encoding="utf-8")
+    state = CoordinatorState(small_task(), RunSettings(0, 1000))
+    told = json.loads(json.dumps(msgspec.to_builtins(status(state, 0.0))))
+    quoted = re.findall(r"""(?:until_true|\(ask) (?:'([^']+)'|"([^"\\]+)")""", script)
+    learner = re.search(r'^learner="(.+)"$', script, re.MULTILINE)
+    assert learner is not None
+    expressions = [one or other for one, other in quoted if (one or other) != "$1"]
+    assert len(expressions) >= 4
+    for expression in expressions:
+        filled = expression.replace("$learner", learner[1]).replace("$pid", "p1")
+        eval(filled, {"s": told})  # noqa: S307 - the repository's own text
