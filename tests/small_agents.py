@@ -26,7 +26,6 @@ TINY = {
     "batch": 16,
     "learning_starts": 50,
     "replay_rows": 400,
-    "steps_per_iteration": 10,
     "updates_per_step": 1,
 }
 

@@ -87,6 +87,7 @@ def test_an_unknown_key_is_named_with_the_nearest_known_one(flag: str, names: tu
         ("sac.hold_share=0.1", "sac.exploration_share"),
         ("sac.tau=0.01", "it is fixed at 0.005 now"),
         ("ppo.clip=0.1", "it is fixed at 0.2 now"),
+        ("dqn.steps_per_iteration=5", "it is fixed at 10 now"),
         ("learner.start_capacity=9", "it is fixed at 200 now"),
     ],
 )

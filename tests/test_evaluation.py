@@ -25,6 +25,7 @@ from small_tasks import (
 
 from t4nmtd_dist.core.errors import PolicyError
 from t4nmtd_dist.method.compiled import CompiledTask, compile_task
+from t4nmtd_dist.policy import evaluation
 from t4nmtd_dist.policy.evaluation import Evaluator
 from t4nmtd_dist.policy.global_policy import GlobalPolicy
 from t4nmtd_dist.tasks import load_task
@@ -146,6 +147,12 @@ def test_perturbed_starts_that_ended_the_episode_are_drawn_again() -> None:
     result = Evaluator(policy, 64, seed=0).run(policy, perturb=20)
     assert result.redrawn > 0
     assert result.lengths.tolist() == [5] * 64, "a start that is over already would end at once"
+
+
+def test_the_last_round_of_random_actions_counts_as_the_others(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(evaluation, "PERTURBATION_ROUNDS", 1)
+    policy = expert()
+    assert Evaluator(policy, 4, seed=0).run(policy, perturb=0).lengths.tolist() == [SOLUTION] * 4
 
 
 def test_perturbed_starts_differ_and_are_those_of_the_seed() -> None:

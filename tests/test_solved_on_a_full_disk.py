@@ -27,6 +27,7 @@ from t4nmtd_dist.launch.serial import SerialRun
 from t4nmtd_dist.runs.checkpoints import write_checkpoint
 from t4nmtd_dist.runs.directory import RunDirectory
 from t4nmtd_dist.runs.options import RunOptions
+from t4nmtd_dist.runs.reserve import Reserve
 from t4nmtd_dist.runs.resuming import Identity, read_stopped_run, write_identity
 from t4nmtd_dist.wire.messages import EvaluationJob, EvaluationPoll, LearnerStats
 
@@ -145,6 +146,15 @@ def test_room_for_the_result_is_reserved_while_there_is_some(disk: Path) -> None
     assert run.policy.exists()
     assert run.directory.read_summary()["solved"]
     assert not (run.directory.path / ".reserve").exists()
+
+
+def test_what_could_not_be_reserved_is_reserved_once_there_is_room(tmp_path: Path) -> None:
+    reserve = Reserve(tmp_path)
+    with files_end_after(1):
+        reserve.hold(1000)
+    assert not list(tmp_path.iterdir())
+    reserve.hold(1000)
+    assert [path.stat().st_size for path in tmp_path.iterdir()] == [1000]
 
 
 def test_a_result_that_finds_no_room_leaves_the_newest_checkpoint(disk: Path) -> None:

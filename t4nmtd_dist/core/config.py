@@ -65,7 +65,7 @@ class EnvironmentConfig:
 
 @dataclass(frozen=True)
 class DecompositionConfig:
-    """How transitions are assigned to sub-tasks, and distances to acceptance (spec: Decomposition).
+    """How transitions are assigned to sub-tasks, and distances to acceptance.
 
     Attributes:
         mode: ``objective``, ``literal`` or ``random`` (see ``t4nmtd_dist.method.decomposition.decompose``).

@@ -150,13 +150,13 @@ class Evaluator:
         redrawn = 0
         for _ in range(PERTURBATION_ROUNDS):
             missing = [row for row in rows if row not in snapshots]
-            if not missing:
-                states = [snapshots[row][0] for row in rows]
-                q = np.array([snapshots[row][1] for row in rows], np.int32)
-                return self._env.restore(np.array(rows), states), q, redrawn
             found = self._random_walks(policy, most)
             snapshots.update({row: found[row] for row in missing if row in found})
             redrawn += sum(row not in found for row in missing)
+            if len(snapshots) == len(rows):
+                states = [snapshots[row][0] for row in rows]
+                q = np.array([snapshots[row][1] for row in rows], np.int32)
+                return self._env.restore(np.array(rows), states), q, redrawn
         raise EnvError(f"{PERTURBATION_ROUNDS} rounds of {most} random actions each ended in error states")
 
     def _random_walks(self, policy: GlobalPolicy, most: int) -> dict[int, tuple[NDArray[np.generic], int]]:
@@ -171,6 +171,8 @@ class Evaluator:
             due = np.flatnonzero(alive & (k == t))
             for row, state in zip(due, self._env.snapshot(due), strict=True):
                 found[int(row)] = (state, int(q[row]))
+            if t == most:
+                break
             step = self._env.step(self._random_actions(count))
             q = policy.dfa.delta[q, self._reader.symbols(step.labels)]
             alive &= ~(step.terminated | step.truncated | accepting[q] | error[q])

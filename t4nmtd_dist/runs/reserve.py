@@ -20,12 +20,13 @@ class Reserve:
         """Reserve at least this many bytes, if possible."""
         if size <= self._size:
             return
-        self._size = size
         with suppress(OSError):
             self._path.unlink(missing_ok=True)
+            self._size = 0
             descriptor = os.open(self._path, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o600)
             try:
                 os.posix_fallocate(descriptor, 0, size)
+                self._size = size
             except OSError:
                 self._path.unlink()
             finally:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 from t4nmtd_dist.agents.common.off_policy_config import check_replay
@@ -15,7 +16,6 @@ class DQNConfig:
 
     Attributes:
         num_envs: environments per learner, stepped together.
-        steps_per_iteration: steps per environment between two messages to the coordinator.
         replay_rows: replay capacity in transitions.
         learning_starts: transitions before the first update.
         batch: transitions per update.
@@ -34,7 +34,6 @@ class DQNConfig:
     """
 
     num_envs: Count = 8
-    steps_per_iteration: Count = 10
     replay_rows: Count = 300_000
     learning_starts: CountOrZero = 1000
     batch: Count = 256
@@ -52,6 +51,7 @@ class DQNConfig:
 
 
 CONFIG = DQNConfig
+FORMER_KEYS: Mapping[str, str] = {"steps_per_iteration": "it is fixed at 10 now"}
 ACTIONS = "discrete"
 EXPLORATION = ("dqn.epsilon_steps",)
 
