@@ -91,7 +91,7 @@ class Ours:
 
     def _step(self) -> None:
         before, number = self._observation[None], len(self.replay_buffer)
-        action = self._agent.act(before, NO, 0.0)
+        action = self._agent.act(before, np.zeros(1, np.int64), NO, 0.0)
         after, reward, terminated, truncated, _ = self._env.step(self._agent.environment_actions(action)[0])
         over = terminated or truncated
         q, symbols = np.zeros(1, np.int32), np.zeros(1, np.int64)

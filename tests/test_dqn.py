@@ -145,7 +145,7 @@ def test_actions_are_uniform_in_a_share_of_epsilon(share: float, greedy: float) 
     config = DQNConfig(epsilon_start=share, epsilon_end=share)
     agent = DQN(initial_networks(3, 4, (8,), 0), config, "cpu", np.random.default_rng(0))
     states = np.random.default_rng(1).standard_normal((4000, 3), np.float32)
-    actions = agent.environment_actions(agent.act(states, np.zeros(4000, np.bool_), 0.0))
+    actions = agent.environment_actions(agent.act(states, np.arange(4000), np.zeros(4000, np.bool_), 0.0))
     assert (actions == agent.q_values(states).argmax(1)).mean() == pytest.approx(greedy, abs=0.03)
 
 

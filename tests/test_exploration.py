@@ -22,13 +22,13 @@ from t4nmtd_dist.agents.common.exploration import (
 Floats = NDArray[np.float32]
 
 
-def everywhere(count: int) -> NDArray[np.bool_]:
-    return np.ones(count, np.bool_)
+def everywhere(count: int) -> NDArray[np.int64]:
+    return np.arange(count)
 
 
 def driven_steps(exploration: SinusoidExploration, policy: Floats, steps: int) -> Floats:
     """Actions [steps, N, A] where the policy's are always the same."""
-    return np.stack([exploration.drive(policy) for _ in range(steps)])
+    return np.stack([exploration.drive(everywhere(len(policy)), policy) for _ in range(steps)])
 
 
 @pytest.mark.parametrize("share", [0.0, 0.5, 1.0])
@@ -51,7 +51,7 @@ def test_actions_are_either_the_policys_own_or_within_the_bounds(
     exploration = SinusoidExploration(count, size, share, rng)
     exploration.begin(everywhere(count), 0.0)
     policies = rng.uniform(-1, 1, (40, count, size)).astype(np.float32)
-    actions = np.stack([exploration.drive(policy) for policy in policies])
+    actions = np.stack([exploration.drive(everywhere(len(policy)), policy) for policy in policies])
     assert actions.dtype == np.float32
     assert actions.shape == policies.shape
     assert (np.abs(actions) <= 1).all()
@@ -84,17 +84,29 @@ def test_an_attempt_that_begins_changes_nothing_for_the_others() -> None:
     for exploration in (first, second):
         exploration.begin(everywhere(3), 0.0)
         driven_steps(exploration, policy, 5)
-    first.begin(np.array([False, True, False]), 0.0)
+    first.begin(np.array([1]), 0.0)
     left, right = driven_steps(first, policy, 20), driven_steps(second, policy, 20)
     assert np.array_equal(left[:, [0, 2]], right[:, [0, 2]])
     assert not np.array_equal(left[:, 1], right[:, 1])
+
+
+@pytest.mark.parametrize("kind", [SinusoidExploration, HeldActionExploration])
+def test_copies_that_another_network_acts_for_wait(kind: type[SinusoidExploration | HeldActionExploration]) -> None:
+    exploration = kind(3, 2, 1.0, np.random.default_rng(0))
+    exploration.begin(everywhere(3), 0.0)
+    before = {name: column.copy() for name, column in exploration.state_dict().items()}
+    for _ in range(30):
+        assert exploration.drive(np.array([2, 0]), np.zeros((2, 2), np.float32)).shape == (2, 2)
+    after = exploration.state_dict()
+    assert all(np.array_equal(before[name][1], after[name][1]) for name in before)
+    assert any(not np.array_equal(before[name][0], after[name][0]) for name in before)
 
 
 def test_once_the_learner_succeeds_new_attempts_are_its_own() -> None:
     exploration = SinusoidExploration(2, 1, 1.0, np.random.default_rng(0))
     policy = np.full((2, 1), 0.5, np.float32)
     exploration.begin(everywhere(2), 0.0)
-    exploration.begin(np.array([True, False]), 1.0)
+    exploration.begin(np.array([0]), 1.0)
     actions = driven_steps(exploration, policy, 10)
     assert (actions[:, 0] == 0.5).all()
     assert (actions[:, 1] != 0.5).all()
@@ -106,7 +118,11 @@ def test_the_share_of_interrupted_attempts_falls_with_success(share: float, succ
     exploration = HeldActionExploration(count, 1, share, np.random.default_rng(0))
     exploration.begin(everywhere(count), success)
     policy = np.full((count, 1), 0.123, np.float32)
-    interrupted = np.stack([exploration.drive(policy) != policy for _ in range(100)]).any(axis=(0, 2)).mean()
+    interrupted = (
+        np.stack([exploration.drive(everywhere(len(policy)), policy) != policy for _ in range(100)])
+        .any(axis=(0, 2))
+        .mean()
+    )
     assert interrupted == pytest.approx(share * (1 - success) ** 2, abs=0.03)
 
 
@@ -114,7 +130,7 @@ def test_random_actions_are_held_and_the_policy_acts_in_between() -> None:
     exploration = HeldActionExploration(200, 2, 1.0, np.random.default_rng(0))
     exploration.begin(everywhere(200), 0.0)
     policy = np.full((200, 2), 2.0, np.float32)  # outside the bounds, so that it can be told apart
-    actions = np.stack([exploration.drive(policy) for _ in range(400)])
+    actions = np.stack([exploration.drive(everywhere(len(policy)), policy) for _ in range(400)])
     held = (actions != policy).all(axis=2)
     assert (np.abs(actions[held]) <= 1).all()
     holds = [
@@ -133,9 +149,9 @@ def test_a_hold_ends_with_its_attempt() -> None:
     policy = np.full((500, 1), 2.0, np.float32)
     exploration.begin(everywhere(500), 0.0)
     for _ in range(20):
-        exploration.drive(policy)
+        exploration.drive(everywhere(len(policy)), policy)
     exploration.begin(everywhere(500), 1.0)
-    assert (exploration.drive(policy) == policy).all()
+    assert (exploration.drive(everywhere(len(policy)), policy) == policy).all()
 
 
 def test_a_saved_exploration_goes_on_as_it_was() -> None:
@@ -145,11 +161,13 @@ def test_a_saved_exploration_goes_on_as_it_was() -> None:
     first, second, policy = made(), made(), np.zeros((50, 3), np.float32)
     first.begin(everywhere(50), 0.2)
     for _ in range(7):
-        first.drive(policy)
+        first.drive(everywhere(len(policy)), policy)
     second.load_state_dict(first.state_dict())
     second._rng.bit_generator.state = first._rng.bit_generator.state
     for _ in range(30):
-        assert np.array_equal(first.drive(policy), second.drive(policy))
+        assert np.array_equal(
+            first.drive(everywhere(len(policy)), policy), second.drive(everywhere(len(policy)), policy)
+        )
 
 
 def shares_of(kinds: str, share: float, success: float = 0.0) -> tuple[float, float, float]:
@@ -157,7 +175,7 @@ def shares_of(kinds: str, share: float, success: float = 0.0) -> tuple[float, fl
     count, policy = 4000, np.full((4000, 1), 2.0, np.float32)  # outside the bounds, so that it can be told apart
     exploration = Exploration(kinds, share, count, 1, np.random.default_rng(0))
     exploration.begin(everywhere(count), success)
-    own = np.stack([(exploration.drive(policy) == policy).all(axis=1) for _ in range(150)])
+    own = np.stack([(exploration.drive(everywhere(len(policy)), policy) == policy).all(axis=1) for _ in range(150)])
     sinusoid, left = ~own.any(axis=0), own.all(axis=0)
     return sinusoid.mean(), (~sinusoid & ~left).mean(), left.mean()
 
@@ -186,8 +204,10 @@ def test_both_kinds_are_saved_and_go_on_as_they_were() -> None:
     first, second, policy = made(), made(), np.zeros((50, 3), np.float32)
     first.begin(everywhere(50), 0.2)
     for _ in range(7):
-        first.drive(policy)
+        first.drive(everywhere(len(policy)), policy)
     second.load_state_dict(first.state_dict())
     second._held._rng.bit_generator.state = first._held._rng.bit_generator.state
     for _ in range(30):
-        assert np.array_equal(first.drive(policy), second.drive(policy))
+        assert np.array_equal(
+            first.drive(everywhere(len(policy)), policy), second.drive(everywhere(len(policy)), policy)
+        )

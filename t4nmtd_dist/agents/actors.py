@@ -2,15 +2,21 @@
 
 from __future__ import annotations
 
+from typing import TYPE_CHECKING
+
 import numpy as np
 from numpy.typing import NDArray
 
 from t4nmtd_dist.agents.common.normalisation import Normalisation, stored_normalisation
+from t4nmtd_dist.agents.common.product_states import product_states
 from t4nmtd_dist.agents.modules import actor_module
 from t4nmtd_dist.agents.protocol import Actions, Actor
 from t4nmtd_dist.agents.weights import Arrays, acting_parameters, part_of
 from t4nmtd_dist.core.config import LearnerConfig
 from t4nmtd_dist.core.errors import PolicyError
+
+if TYPE_CHECKING:
+    from t4nmtd_dist.agents.shared.upper_dqn import UpperValues
 
 
 class NormalisingActor:
@@ -27,6 +33,23 @@ class NormalisingActor:
     def act(self, states: NDArray[np.float32], rng: np.random.Generator | None = None) -> Actions:
         """See ``Actor.act``."""
         return self._actor.act(self._normalisation.apply_to_states(states), rng)
+
+
+def make_upper(weights: Arrays, dfa_states: int) -> UpperValues:
+    """The values of an upper level's options, from its network's weights, named ``actor.*``.
+
+    Raises:
+        PolicyError: if parameters are missing or do not fit.
+    """
+    from t4nmtd_dist.agents.shared.upper_dqn import UpperValues  # imports torch
+
+    normalisation, own = stored_normalisation(part_of(acting_parameters(weights), "actor"))
+
+    def states(observations: NDArray[np.float32], q: NDArray[np.int32]) -> NDArray[np.float32]:
+        seen = observations if normalisation is None else normalisation.apply(observations)
+        return product_states(seen, q, dfa_states)
+
+    return UpperValues(own, states)
 
 
 def make_actor(config: LearnerConfig, weights: Arrays) -> Actor:

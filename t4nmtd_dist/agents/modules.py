@@ -5,7 +5,7 @@ from __future__ import annotations
 from types import ModuleType
 from typing import cast
 
-from t4nmtd_dist.agents.protocol import AgentActor, AgentBuilder, AgentShapes
+from t4nmtd_dist.agents.protocol import AgentActor, AgentBuilder, AgentShapes, OffPolicyBuilder
 from t4nmtd_dist.core.errors import ConfigError
 from t4nmtd_dist.core.registry import AGENTS
 
@@ -35,6 +35,22 @@ def builder_module(algorithm: str) -> AgentBuilder:
         ConfigError: as for ``shapes_module``.
     """
     return cast(AgentBuilder, _module(algorithm, "agent"))
+
+
+def off_policy_module(algorithm: str) -> OffPolicyBuilder:
+    """The ``agent`` module of an off-policy agent.
+
+    Raises:
+        ConfigError: as for ``shapes_module``; also if the agent is on-policy.
+    """
+    module = _module(algorithm, "agent")
+    if not hasattr(module, "algorithm"):
+        known = [name for name in AGENTS.names() if hasattr(_module(name, "agent"), "algorithm")]
+        raise ConfigError(
+            f"learner.algorithm = {algorithm!r}: methods whose policies share an environment need an off-policy "
+            f"agent; expected one of {', '.join(known)}"
+        )
+    return cast(OffPolicyBuilder, module)
 
 
 def _module(algorithm: str, part: str) -> ModuleType:

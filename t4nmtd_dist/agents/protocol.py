@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from t4nmtd_dist.agents.common.context import AgentContext
+from t4nmtd_dist.agents.common.off_policy import OffPolicyAgent
 from t4nmtd_dist.agents.common.peer_values import PeerCritics, Values
 from t4nmtd_dist.agents.common.rehearsal import GreedyActor
 from t4nmtd_dist.agents.common.replay_buffer import ReplayBuffer
@@ -118,10 +119,13 @@ class Learner(Protocol):
     pid: str
     rollout: Rollout
     version: int
-    gradient_steps: int
     value_shape: tuple[int, ...]
     peer_steps: int
     """How many steps of each peer in another process are worth keeping; 0 where peers' experience is not used."""
+
+    @property
+    def gradient_steps(self) -> int:
+        """Updates so far."""
 
     @property
     def replay_buffer(self) -> ReplayBuffer | None:
@@ -170,6 +174,17 @@ class Learner(Protocol):
 
         Raises:
             RunError, PolicyError: if the state has other shapes.
+        """
+
+
+class OffPolicyBuilder(Protocol):
+    """Module ``agent`` of an off-policy agent, beside ``AgentBuilder``."""
+
+    def algorithm(self, context: AgentContext, rng: np.random.Generator) -> OffPolicyAgent:
+        """Build one of several networks of a learner, for methods whose roles share an environment.
+
+        Raises:
+            EnvError: if it cannot act in the environment's action space.
         """
 
 

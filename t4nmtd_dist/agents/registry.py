@@ -7,9 +7,11 @@ import zlib
 import numpy as np
 
 from t4nmtd_dist.agents.common.context import AgentContext
-from t4nmtd_dist.agents.common.rollout import Rollout
-from t4nmtd_dist.agents.modules import builder_module
+from t4nmtd_dist.agents.common.rollout import AttemptRules, Rollout
+from t4nmtd_dist.agents.modules import builder_module, off_policy_module
 from t4nmtd_dist.agents.protocol import Learner
+from t4nmtd_dist.agents.shared.episodes import Episodes
+from t4nmtd_dist.agents.shared.learner import SharedLearner
 from t4nmtd_dist.core.devices import Device
 from t4nmtd_dist.environments.timed import make_task_env
 from t4nmtd_dist.method.compiled import CompiledTask
@@ -40,18 +42,19 @@ def build_learner(
         ConfigError: if the algorithm does not exist or is still ``"auto"`` (see ``environments.preparation.prepared``).
     """
     config = task.config
-    agent = builder_module(config.learner.algorithm)
     env = make_task_env(config, config.agent.num_envs)
     reader = SymbolReader(task.dfa, env.propositions)
-    return agent.build(
-        AgentContext(
-            pid=pid,
-            task=task,
-            rollout=Rollout(env, reader, method, pid, buffer, np.random.default_rng([seed, 0])),
-            action_space=env.action_space,
-            method=method,
-            seed=seed,
-            device=device,
-            normalised=~env.categorical & (config.learner.normalise_observations == "on"),
-        )
+    rules: AttemptRules = Episodes(task, method) if method.shares_env else method
+    context = AgentContext(
+        pid=pid,
+        task=task,
+        rollout=Rollout(env, reader, rules, pid, buffer, np.random.default_rng([seed, 0])),
+        action_space=env.action_space,
+        method=method,
+        seed=seed,
+        device=device,
+        normalised=~env.categorical & (config.learner.normalise_observations == "on"),
     )
+    if method.shares_env:
+        return SharedLearner(context, off_policy_module(config.learner.algorithm).algorithm)
+    return builder_module(config.learner.algorithm).build(context)

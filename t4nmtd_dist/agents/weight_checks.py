@@ -8,7 +8,7 @@ import numpy as np
 
 from t4nmtd_dist.agents.common.normalisation import stored_normalisation
 from t4nmtd_dist.agents.modules import shapes_module
-from t4nmtd_dist.agents.weights import Arrays, Shapes
+from t4nmtd_dist.agents.weights import UPPER, Arrays, Shapes, networks_of
 from t4nmtd_dist.core.config import TaskConfig
 from t4nmtd_dist.core.errors import PolicyError
 
@@ -37,14 +37,15 @@ def expected_shapes(config: TaskConfig, dfa_states: int, sizes: NetworkSizes) ->
 
 
 def sizes_of(weights: Arrays, config: TaskConfig, dfa_states: int) -> NetworkSizes:
-    """Infer the network sizes from weights.
+    """Infer the network sizes from weights, of several networks from the first.
 
     Raises:
         PolicyError: if they cannot be inferred.
         ConfigError: if the algorithm does not exist.
     """
     first, last = shapes_module(config.learner.algorithm).size_parameters(config.learner.hidden)
-    shape, end = (weights[name].shape if name in weights else () for name in (first, last))
+    own: Arrays = next((each for name, each in networks_of(weights).items() if name != UPPER), {})
+    shape, end = (own[name].shape if name in own else () for name in (first, last))
     if len(shape) < 2 or not end:
         raise PolicyError(f"weights do not fit: {first} and {last} are expected, and are missing or of another shape")
     return NetworkSizes(shape[1] - dfa_states, end[0])
@@ -62,16 +63,27 @@ def check_weights(
         PolicyError: if the weights do not fit or are not finite; the message says which.
     """
     statistics, weights = stored_normalisation(weights)
-    found = sizes_of(weights, config, dfa_states)
-    if min(found.observation, found.action) < 1:
-        raise PolicyError(f"weights do not fit: they are for observations of {found.observation} numbers")
-    sizes = sizes or found
-    if statistics is not None and statistics.size != sizes.observation:
+    for name, own in networks_of(weights).items():
+        if name == UPPER:
+            check_shapes(own, {key: array.shape for key, array in own.items()})
+        else:
+            sizes = _check_network(own, config, dfa_states, sizes)
+    if sizes is None:
+        raise PolicyError("weights do not fit: there are none")
+    goals = statistics is not None and any(networks_of(weights)) and statistics.size < sizes.observation
+    if statistics is not None and statistics.size != sizes.observation and not goals:
         raise PolicyError(
             f"weights do not fit: statistics of {statistics.size} observed numbers, expected {sizes.observation}"
         )
-    check_shapes(weights, expected_shapes(config, dfa_states, sizes))
     return sizes
+
+
+def _check_network(own: Arrays, config: TaskConfig, dfa_states: int, sizes: NetworkSizes | None) -> NetworkSizes:
+    found = sizes_of(own, config, dfa_states)
+    if min(found.observation, found.action) < 1:
+        raise PolicyError(f"weights do not fit: they are for observations of {found.observation} numbers")
+    check_shapes(own, expected_shapes(config, dfa_states, sizes or found))
+    return sizes or found
 
 
 def check_alike(weights: Arrays, own: Arrays) -> None:

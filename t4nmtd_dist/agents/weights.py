@@ -15,11 +15,32 @@ Weights = dict[str, NDArray[Any]]
 Arrays = Mapping[str, NDArray[Any]]
 Shapes = dict[str, tuple[int, ...]]
 
+NETWORK = ":"
+UPPER = "upper"
+"""Name of an upper level's network."""
+
 
 def part_of(arrays: Arrays, part: str) -> Weights:
     """Arrays named ``part.*``, without that prefix."""
     prefix = part + "."
     return {name.removeprefix(prefix): array for name, array in arrays.items() if name.startswith(prefix)}
+
+
+def networks_of(weights: Arrays) -> dict[str, Weights]:
+    """Weights by network: those named ``network:name`` without that prefix, and all others under the empty name.
+
+    Only learners of methods whose roles share an environment hold several networks; see ``agents.shared``.
+    """
+    found: dict[str, Weights] = {}
+    for name, array in weights.items():
+        network, _, own = name.rpartition(NETWORK)
+        found.setdefault(network, {})[own] = array
+    return found
+
+
+def of_network(network: str, weights: Arrays) -> Weights:
+    """Weights named for ``networks_of``; the empty name changes nothing."""
+    return {f"{network}{NETWORK}{name}" if network else name: array for name, array in weights.items()}
 
 
 def acting_part(names: Iterable[str]) -> str:
@@ -28,13 +49,17 @@ def acting_part(names: Iterable[str]) -> str:
 
 
 def acting_parameters(weights: Arrays) -> Weights:
-    """Parameters of the evaluated and exported actor (the average, if kept), named ``actor.*``.
+    """Parameters of the evaluated and exported actors (the averages, if kept), named ``actor.*``.
 
-    Includes the observation statistics, if any.
+    Includes the observation statistics, if any, with every network.
     """
-    kept = part_of(weights, acting_part(weights))
-    kept |= {name: array for name, array in weights.items() if name.startswith("normalisation.")}
-    return {f"actor.{name}": array for name, array in kept.items()}
+    statistics = {name: array for name, array in weights.items() if name.startswith("normalisation.")}
+    acting: Weights = {}
+    for network, own in networks_of(weights).items():
+        kept = part_of(own, acting_part(own))
+        if kept:
+            acting |= of_network(network, {f"actor.{name}": array for name, array in (kept | statistics).items()})
+    return acting
 
 
 def check_finite(weights: Arrays) -> None:

@@ -67,8 +67,14 @@ AGENTS = Registry(
 METHODS = Registry(
     "method",
     {
+        "crm": "t4nmtd_dist.method.crm",
         "dirl": "t4nmtd_dist.method.dirl",
+        "hdqn": "t4nmtd_dist.method.hdqn",
+        "hrm": "t4nmtd_dist.method.hrm",
         "lsts": "t4nmtd_dist.method.lsts",
+        "mod": "t4nmtd_dist.method.mod",
+        "product": "t4nmtd_dist.method.product",
+        "qrm": "t4nmtd_dist.method.qrm",
         "random": "t4nmtd_dist.method.random_decomposition",
         "t4nmtd": "t4nmtd_dist.method.t4nmtd",
     },

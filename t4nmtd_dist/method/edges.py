@@ -117,7 +117,10 @@ class EdgeMethod:
 
     Attributes:
         upper: the upper level; only the coordinator's is told anything.
+        shares_env: every edge acts in an environment of its own.
     """
+
+    shares_env = False
 
     def __init__(
         self,
@@ -135,6 +138,11 @@ class EdgeMethod:
         self._delivered = dict.fromkeys(self._edges, 0)
         self._keeps = False
         self.upper = upper
+
+    @property
+    def roles(self) -> tuple[str, ...]:
+        """The edges."""
+        return self._decomposition.pids
 
     def role(self, name: str) -> Role:
         """The edge; see ``Method.role``."""

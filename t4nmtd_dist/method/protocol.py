@@ -67,7 +67,8 @@ class Reading:
 
     Attributes:
         q: DFA states in which rows may be read, whatever state they were recorded in, int32 [k].
-        rows: its ``own``, or those of ``all`` roles, in the shares of the agent's settings.
+        rows: its ``own``, recorded while it acted and read in the DFA state they were recorded in, or those of ``all``
+            roles, read in any of ``q``. The agent's settings say in which shares.
     """
 
     q: States
@@ -99,7 +100,28 @@ class Method(Protocol):
         roles = method.choose(q)                                        # evaluator: who acts
 
     Roles are named as in the task's ``Decomposition``; their targets are their transitions there.
+
+    Where roles share one environment (``shares_env``), one learner holds all networks, and the ``Decomposition`` has
+    one pid with all transitions. N copies are stepped together, each with an active role::
+
+        active = method.choose(q, rng, observations=observations)
+        while True:
+            q_next, symbols = ...                                       # step all copies, each with its role's actor
+            ending = method.ends(role, q, q_next, steps)                # for the copies of each role
+            active[chosen] = method.choose(q_next, rng, ...)            # where CHOOSE, or after a reset
+
+    Attributes:
+        shares_env: whether a copy of the environment passes from role to role within an episode.
+        roles: names of all roles, in the order of their goals.
     """
+
+    @property
+    def shares_env(self) -> bool:
+        """See above."""
+
+    @property
+    def roles(self) -> tuple[str, ...]:
+        """See above."""
 
     def role(self, name: str) -> Role:
         """One role with its tables.

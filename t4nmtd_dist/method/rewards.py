@@ -119,6 +119,15 @@ def subtask_tables(
     return SubtaskTables(target, available, accepting, error, reward, kept)
 
 
+def environment_rewards(dfa: DFA, *, error_penalty: float = 0.0) -> NDArray[np.float64]:
+    """What every change of the DFA state pays without shaping and whoever acts, float64 [Q, Q]."""
+    accepting, error = _mask(dfa, dfa.accepting), _mask(dfa, dfa.error)
+    accepts = accepting[None, :] & ~accepting[:, None]
+    rewards = np.where(accepts, ACCEPTANCE_REWARD, 0.0)
+    rewards -= error_penalty * (error[None, :] & ~error[:, None])
+    return rewards
+
+
 def _mask(dfa: DFA, states: frozenset[int]) -> NDArray[np.bool_]:
     mask = np.zeros(dfa.states, dtype=np.bool_)
     mask[list(states)] = True

@@ -23,12 +23,16 @@ class Role:
         reset_q: the initial DFA state if the role is available there, so that attempts can start at the environment's
             reset; else None.
         attempt_steps: maximum length of an attempt; a truncation, not a terminal.
+        network: name of its network, where one learner holds several; by default its own name.
+        goal: index of the one-hot input that distinguishes roles of one network; None without one.
     """
 
     name: str
     tables: SubtaskTables
     reset_q: int | None
     attempt_steps: int
+    network: str
+    goal: int | None = None
 
     def stranded(self, q: NDArray[np.int32], q_next: NDArray[np.int32]) -> NDArray[np.bool_]:
         """Steps on which the DFA moved to a state without a transition of the role, bool [N]."""
@@ -49,14 +53,17 @@ def role_of(config: TaskConfig, dfa: DFA, decomposition: Decomposition, rho: NDA
         rho,
         gamma=settings.gamma,
         shaping=settings.shaping,
-        error_penalty=_error_penalty(config),
+        error_penalty=error_penalty(config),
     )
     reset_q = dfa.initial if tables.available[dfa.initial] else None
-    return Role(name, tables, reset_q, _attempt_steps(config, tables))
+    return Role(name, tables, reset_q, _attempt_steps(config, tables), network=name)
 
 
-def _error_penalty(config: TaskConfig) -> float:
-    """With success only at the episode's end, a late error must be better than an early one."""
+def error_penalty(config: TaskConfig) -> float:
+    """Penalty of a step into an error state.
+
+    With success only at the episode's end, a late error must be better than an early one.
+    """
     least = ACCEPTANCE_REWARD if config.acceptance == "end" else 0.0
     return max(config.learner.error_penalty, least)
 

@@ -45,7 +45,10 @@ class T4NMTD(Unstaged):
 
     Attributes:
         q_table: Q(q, T).
+        shares_env: every sub-task acts in an environment of its own.
     """
+
+    shares_env = False
 
     def __init__(self, config: TaskConfig, dfa: DFA, decomposition: Decomposition, rho: NDArray[np.float64]) -> None:
         self._config, self._dfa, self._decomposition, self._rho = config, dfa, decomposition, rho
@@ -58,6 +61,11 @@ class T4NMTD(Unstaged):
             epsilon=config.high_level.epsilon,
             smdp_discount=config.high_level.smdp_discount,
         )
+
+    @property
+    def roles(self) -> tuple[str, ...]:
+        """The sub-tasks."""
+        return self._decomposition.pids
 
     def role(self, name: str) -> Role:
         """The sub-task; see ``Method.role``."""

@@ -122,6 +122,7 @@ class Evaluator:
     ) -> Generator[None, None, EvaluationResult]:
         policy.check_fits(observations)
         count = len(q)
+        policy.begin(count)
         accepting, error = _masks(policy)
         success, over = np.zeros(count, np.bool_), np.zeros(count, np.bool_)
         lengths, returns = np.zeros(count, np.int64), np.zeros(count)

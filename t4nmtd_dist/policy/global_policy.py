@@ -5,15 +5,16 @@ An exported policy is a folder: ``policy.json`` (format, task, DFA, sub-tasks, Q
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
-from t4nmtd_dist.agents.actors import make_actor
-from t4nmtd_dist.agents.common.product_states import product_states
+from t4nmtd_dist.agents.actors import make_actor, make_upper
+from t4nmtd_dist.agents.common.product_states import product_states, with_goal
 from t4nmtd_dist.agents.protocol import Actions
+from t4nmtd_dist.agents.weights import UPPER, networks_of
 from t4nmtd_dist.automata.acceptance import LAST
 from t4nmtd_dist.automata.dfa import DFA
 from t4nmtd_dist.core.action_modes import ActionMode, action_mode
@@ -23,7 +24,9 @@ from t4nmtd_dist.environments.batched import Observations
 from t4nmtd_dist.environments.timed import remaining_share
 from t4nmtd_dist.method.decomposition import Decomposition
 from t4nmtd_dist.method.high_level import QEntries
-from t4nmtd_dist.method.protocol import method_module
+from t4nmtd_dist.method.options import OptionMethod
+from t4nmtd_dist.method.protocol import Method, method_module
+from t4nmtd_dist.policy.held_roles import HeldRoles, Rows
 from t4nmtd_dist.policy.one_thread import one_torch_thread
 
 FLATTEN = "flatten observations that are one-hot or a Dict by t4nmtd_dist.environments.observations.flattener"
@@ -53,12 +56,15 @@ class PolicyTask(Protocol):
 
 
 class GlobalPolicy:
-    """One actor per sub-task, and the sub-task that acts in each DFA state.
+    """One actor per sub-task (or other role), and which of them acts.
+
+    In T4NMTD the DFA state determines who acts. Under options (HRM, h-DQN) a role is held until the method ends it, so
+    ``actions`` follows N episodes from ``begin`` on.
 
     Args:
         task: settings, automaton, sub-tasks and potentials.
         q_table: known entries of Q(q, T).
-        actors: parameters by pid, named ``actor.*`` (others are ignored).
+        actors: parameters by pid, named ``actor.*`` (others are ignored); of several networks, ``network:actor.*``.
         mode: default action mode of ``act``, ``greedy`` (most likely actions) or ``sampled``; that of the best
             evaluation in an exported policy.
         seed: for sampled actions; None for a random one.
@@ -78,8 +84,15 @@ class GlobalPolicy:
     ) -> None:
         self.config, self.dfa, self.decomposition, self.rho = task.config, task.dfa, task.decomposition, task.rho
         self.q_table = q_table
-        self._actors = {pid: make_actor(task.config.learner, weights) for pid, weights in actors.items()}
+        networks = {name or pid: own for pid, weights in actors.items() for name, own in networks_of(weights).items()}
+        self._method = self._restored_method()
+        self._roles = {name: self._method.role(name) for name in self._method.roles}
+        self._goals = sum(role.goal is not None for role in self._roles.values())
+        self._actors = {name: make_actor(task.config.learner, own) for name, own in networks.items() if name != UPPER}
         self.subtask_of = self._choices()
+        self._held: HeldRoles | None = None
+        if UPPER in networks and isinstance(self._method, OptionMethod):
+            self._method.upper = make_upper(networks[UPPER], self.dfa.states)
         self.mode: ActionMode = action_mode(mode)
         self._rng = np.random.default_rng(seed)
         self._q = self.dfa.initial
@@ -91,13 +104,26 @@ class GlobalPolicy:
         """Whether actors observe the remaining time (docs/acceptance.md)."""
         return LAST in self.dfa.propositions
 
-    def _choices(self) -> dict[int, str]:
-        """The greedy choice in every DFA state, among sub-tasks with an actor."""
+    def _restored_method(self) -> Method:
         module = method_module(self.config.learner.method)
         method = module.build(self.config, self.dfa, self.decomposition, self.rho)
         method.load(self.q_table)
-        chosen = method.choose(range(self.dfa.states), among=self._actors)
-        return {q: pid for q, pid in enumerate(chosen) if pid is not None}
+        return method
+
+    def _choices(self) -> dict[int, str]:
+        """The greedy choice in every DFA state, among roles with an actor; without an upper network's values."""
+        able = [name for name, role in self._roles.items() if role.network in self._actors]
+        chosen = self._method.choose(range(self.dfa.states), among=able)
+        return {q: name for q, name in enumerate(chosen) if name is not None}
+
+    def begin(self, count: int) -> None:
+        """``actions`` now follows ``count`` new episodes."""
+        if isinstance(self._method, OptionMethod):
+            self._held = HeldRoles(self._method, count)
+
+    def active(self, q: int) -> str | None:
+        """The role that acted last in DFA state ``q``, in the first episode that ``actions`` follows."""
+        return self.subtask_of.get(q) if self._held is None else self._held.first
 
     def actions(
         self, observations: Observations, q: NDArray[np.int32], rng: np.random.Generator | None = None
@@ -120,19 +146,33 @@ class GlobalPolicy:
     ) -> tuple[Actions, NDArray[np.bool_]]:
         known = np.zeros(len(q), np.bool_)
         actions: Actions | None = None
-        for state in np.unique(q):
-            pid = self.subtask_of.get(int(state))
-            if pid is None:
-                continue
-            rows = q == state
-            found = self._actors[pid].act(product_states(observations[rows], q[rows], self.dfa.states), rng)
+        for name, rows in self._groups(observations, q):
+            role = self._roles[name]
+            states = product_states(observations[rows], q[rows], self.dfa.states)
+            if role.goal is not None:
+                states = with_goal(states, role.goal, self._goals)
+            found = self._actors[role.network].act(states, rng)
             if actions is None:
                 actions = np.zeros((len(q), *found.shape[1:]), found.dtype)
             actions[rows], known[rows] = found, True
         return (np.zeros(len(q), np.int64) if actions is None else actions), known
 
+    def _groups(self, observations: Observations, q: NDArray[np.int32]) -> Iterator[tuple[str, Rows]]:
+        """Who acts in which rows."""
+        if isinstance(self._method, OptionMethod):
+            if self._held is None or self._held.count != len(q):
+                self.begin(len(q))
+            assert self._held is not None
+            yield from self._held.groups(observations, q)
+            return
+        for state in np.unique(q):
+            name = self.subtask_of.get(int(state))
+            if name is not None:
+                yield name, np.flatnonzero(q == state)
+
     def reset(self, seed: int | None = None) -> None:
         """Begin an episode in the initial DFA state; ``seed``, if given, reseeds sampled actions."""
+        self.begin(1)
         self._q, self._first, self._steps = self.dfa.initial, True, 0
         if seed is not None:
             self._rng = np.random.default_rng(seed)
@@ -222,7 +262,7 @@ class GlobalPolicy:
 
     def _observation_size(self) -> int | None:
         """Length of the actors' observations, or None without actors."""
-        return next((actor.inputs - self.dfa.states for actor in self._actors.values()), None)
+        return next((actor.inputs - self.dfa.states - self._goals for actor in self._actors.values()), None)
 
     def check_fits(self, observations: Observations) -> None:
         """Check that the actors were trained on observations of this size [N, d].

@@ -71,16 +71,19 @@ def play(policy: GlobalPolicy, env: SingleEnv, seed: int) -> Iterator[Moment]:
     observation, q, labels, ended = env.reset(seed), policy.dfa.initial, frozenset[str](), ""
     horizon, timed = policy.config.environment.horizon, LAST in policy.dfa.propositions
     sampling = np.random.default_rng([seed, 4]) if policy.mode == "sampled" else None
+    policy.begin(1)
     for step in range(horizon + 1):
         seen = observation[None]
         if timed:
             seen = np.column_stack([seen, remaining_share(step, horizon)])
         policy.check_fits(seen)
         ended = ended or _outcome(policy, q, step)
-        yield Moment(_frame(env), labels, q, None if ended else policy.subtask_of[q], step, ended)
         if ended:
+            yield Moment(_frame(env), labels, q, None, step, ended)
             return
-        done = env.step(policy.actions(seen, np.array([q], np.int32), sampling)[0][0])
+        action = policy.actions(seen, np.array([q], np.int32), sampling)[0][0]
+        yield Moment(_frame(env), labels, q, policy.active(q), step, ended)
+        done = env.step(action)
         labels = frozenset(name for name, holds in zip(env.propositions, done.labels, strict=True) if holds)
         over = ends_episode(step + 1, horizon, terminated=done.terminated, truncated=done.truncated)
         observation, q = done.observation, policy.dfa.step(q, {*labels, LAST} if over else labels)

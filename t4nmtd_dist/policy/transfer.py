@@ -22,7 +22,7 @@ from safetensors.numpy import load_file
 from t4nmtd_dist.agents.common.normalisation import stored_normalisation
 from t4nmtd_dist.agents.modules import shapes_module
 from t4nmtd_dist.agents.weight_checks import NetworkSizes, check_weights, sizes_of
-from t4nmtd_dist.agents.weights import Weights
+from t4nmtd_dist.agents.weights import Weights, networks_of
 from t4nmtd_dist.core.config import TaskConfig, task_config
 from t4nmtd_dist.core.errors import ConfigError, PolicyError
 from t4nmtd_dist.method.compiled import CompiledTask
@@ -93,6 +93,11 @@ def transferred(source: Source, task: CompiledTask, observation_size: int) -> di
                 f"cannot transfer from {source.folder}: it has learner.{key} = {getattr(theirs, key)!r}, this task has "
                 f"{getattr(ours, key)!r}; they must be equal"
             )
+    if any(any(networks_of(weights)) for weights in source.weights.values()):
+        raise PolicyError(
+            f"cannot transfer from {source.folder}: learner.method = {theirs.method!r} has one learner with several "
+            "networks; expected one learner per sub-task, as in t4nmtd"
+        )
     shared = [pid for pid in task.decomposition.pids if pid in source.weights]
     if not shared:
         raise PolicyError(

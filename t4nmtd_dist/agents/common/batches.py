@@ -34,6 +34,11 @@ class Batch:
     discounts: Tensor
     next_states: Tensor
 
+    @classmethod
+    def of(cls, states: Floats, actions: Floats, rewards: Floats, discounts: Floats, next_states: Floats) -> Batch:
+        """The batch of these arrays."""
+        return cls(*map(torch.from_numpy, (states, actions, rewards, discounts, next_states)))
+
 
 @dataclass(frozen=True)
 class DrawnBatch:
@@ -71,5 +76,4 @@ class DrawnBatch:
         states, next_states = self.states, self.next_states
         if normalisation is not None:
             states, next_states = map(normalisation.apply_to_states, (states, next_states))
-        columns = (states, self.actions, self.rewards, self.discounts, next_states)
-        return Batch(*map(torch.from_numpy, columns))
+        return Batch.of(states, self.actions, self.rewards, self.discounts, next_states)

@@ -29,6 +29,7 @@ class AgentContext:
         seed: for networks and sampling.
         device: of the trained networks; the rollout and answers to peers stay on the CPU.
         normalised: which observation entries are normalised, bool [d].
+        goals: length of the one-hot goal after the DFA state, for networks shared by several roles.
     """
 
     pid: str
@@ -39,6 +40,7 @@ class AgentContext:
     seed: int
     device: Device
     normalised: NDArray[np.bool_]
+    goals: int = 0
 
     @property
     def settings(self) -> LearnerConfig:
@@ -57,8 +59,8 @@ class AgentContext:
 
     @property
     def inputs(self) -> int:
-        """Length of a product state, d + |Q|."""
-        return self.observation_size + self.dfa_states
+        """Length of a network's input, d + |Q| + goals."""
+        return self.observation_size + self.dfa_states + self.goals
 
     def action_count(self) -> int:
         """Number of discrete actions.

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from t4nmtd_dist.core.state_dict import State
 
-Flags = NDArray[np.bool_]
+Rows = NDArray[np.int64]
 FREQUENCIES = (0.05, 0.3)  # cycles per step
 HOLD_CHANCE = 0.1
 LONGEST_HOLD = 20
@@ -33,9 +33,8 @@ class SinusoidExploration:
         self._phase = np.zeros((count, action_size))
         self._time = np.zeros((count, 1))
 
-    def begin(self, copies: Flags, success: float) -> None:
-        """Decide which of the attempts just begun in ``copies`` are driven."""
-        rows = np.flatnonzero(copies)
+    def begin(self, rows: Rows, success: float) -> None:
+        """Decide which of the attempts just begun in copies ``rows`` are driven."""
         self._driven[rows] = self._rng.random(len(rows)) < driven_share(self._share, success)
         self._frequency[rows] = self._rng.uniform(*FREQUENCIES, size=(len(rows), 1))
         self._phase[rows] = self._rng.uniform(0, 2 * np.pi, size=(len(rows), self._phase.shape[1]))
@@ -53,11 +52,11 @@ class SinusoidExploration:
     def _columns(self) -> dict[str, NDArray[Any]]:
         return {"driven": self._driven, "frequency": self._frequency, "phase": self._phase, "time": self._time}
 
-    def drive(self, actions: NDArray[np.float32]) -> NDArray[np.float32]:
-        """The policy's actions [N, A] in [-1, 1], or the sinusoid's in driven attempts."""
-        waves = np.sin(2 * np.pi * self._frequency * self._time + self._phase)
-        self._time += 1
-        driven: NDArray[np.float32] = np.where(self._driven[:, None], waves, actions).astype(np.float32)
+    def drive(self, rows: Rows, actions: NDArray[np.float32]) -> NDArray[np.float32]:
+        """The policy's actions [k, A] in [-1, 1] of copies ``rows``, or the sinusoid's in driven attempts."""
+        waves = np.sin(2 * np.pi * self._frequency[rows] * self._time[rows] + self._phase[rows])
+        self._time[rows] += 1
+        driven: NDArray[np.float32] = np.where(self._driven[rows][:, None], waves, actions).astype(np.float32)
         return driven
 
 
@@ -75,22 +74,20 @@ class HeldActionExploration:
         self._left = np.zeros(count, np.int64)
         self._held = np.zeros((count, action_size), np.float32)
 
-    def begin(self, copies: Flags, success: float) -> None:
-        """Decide which of the attempts just begun in ``copies`` are interrupted."""
-        rows = np.flatnonzero(copies)
+    def begin(self, rows: Rows, success: float) -> None:
+        """Decide which of the attempts just begun in copies ``rows`` are interrupted."""
         self._interrupted[rows] = self._rng.random(len(rows)) < driven_share(self._share, success)
         self._left[rows] = 0
 
-    def drive(self, actions: NDArray[np.float32]) -> NDArray[np.float32]:
-        """The policy's actions [N, A] in [-1, 1], or the held ones."""
+    def drive(self, rows: Rows, actions: NDArray[np.float32]) -> NDArray[np.float32]:
+        """The policy's actions [k, A] in [-1, 1] of copies ``rows``, or the held ones."""
         rng = self._rng
-        taken_up = self._interrupted & (self._left == 0) & (rng.random(len(self._left)) < HOLD_CHANCE)
-        rows = np.flatnonzero(taken_up)
-        self._left[rows] = rng.integers(1, LONGEST_HOLD + 1, size=len(rows))
-        self._held[rows] = rng.uniform(-1, 1, size=(len(rows), self._held.shape[1]))
-        holding = self._left > 0
-        self._left[holding] -= 1
-        driven: NDArray[np.float32] = np.where(holding[:, None], self._held, actions)
+        taken_up = rows[self._interrupted[rows] & (self._left[rows] == 0) & (rng.random(len(rows)) < HOLD_CHANCE)]
+        self._left[taken_up] = rng.integers(1, LONGEST_HOLD + 1, size=len(taken_up))
+        self._held[taken_up] = rng.uniform(-1, 1, size=(len(taken_up), self._held.shape[1]))
+        holding = self._left[rows] > 0
+        self._left[rows[holding]] -= 1
+        driven: NDArray[np.float32] = np.where(holding[:, None], self._held[rows], actions)
         return driven
 
     def state_dict(self) -> State:
@@ -125,14 +122,14 @@ class Exploration:
         self._sinusoid = SinusoidExploration(count, action_size, share if "sinusoid" in chosen else 0.0, rng)
         self._held = HeldActionExploration(count, action_size, share if "held" in chosen else 0.0, rng)
 
-    def begin(self, copies: Flags, success: float) -> None:
-        """Decide how the attempts just begun in ``copies`` are driven."""
-        self._sinusoid.begin(copies, success)
-        self._held.begin(copies, success)
+    def begin(self, rows: Rows, success: float) -> None:
+        """Decide how the attempts just begun in copies ``rows`` are driven."""
+        self._sinusoid.begin(rows, success)
+        self._held.begin(rows, success)
 
-    def drive(self, actions: NDArray[np.float32]) -> NDArray[np.float32]:
-        """Actions [N, A] in [-1, 1] to take, given the policy's."""
-        return self._sinusoid.drive(self._held.drive(actions))
+    def drive(self, rows: Rows, actions: NDArray[np.float32]) -> NDArray[np.float32]:
+        """Actions [k, A] in [-1, 1] for copies ``rows`` to take, given the policy's."""
+        return self._sinusoid.drive(rows, self._held.drive(rows, actions))
 
     def state_dict(self) -> State:
         """State of both kinds, without the generator."""

@@ -33,7 +33,7 @@ class OffPolicyAgent(Protocol):
 
     Intended use::
 
-        actions = agent.act(states, begun, success)
+        actions = agent.act(states, rows, begun, success)
         experience.add(..., actions, *step(agent.environment_actions(actions)))
         agent.update(batch, answers, success)
     """
@@ -43,12 +43,13 @@ class OffPolicyAgent(Protocol):
     value_shape: tuple[int, ...]
     """Shape of what ``values`` says of one product state."""
 
-    def act(self, states: Floats, begun: NDArray[np.bool_], success: float) -> Floats:
-        """Actions to store [N, A], with exploration.
+    def act(self, states: Floats, rows: NDArray[np.int64], begun: NDArray[np.bool_], success: float) -> Floats:
+        """Actions to store [k, A], with exploration.
 
         Args:
-            states: product states [N, d + |Q|].
-            begun: environments that have just begun an attempt [N].
+            states: product states [k, d + |Q|].
+            rows: numbers of their environments [k].
+            begun: environments among them that have just begun an attempt [k].
             success: recent success rate.
         """
 
@@ -116,7 +117,7 @@ class OffPolicyLearner:
         self.batches = BatchSource(self.pid, self.replay_buffer, reader, config, context.method, rng)
         self.peer_steps = self._steps_of_each_peer()
         self._ahead = BatchesAhead(context.observation_size)
-        self._begun = np.ones(count, np.bool_)
+        self._rows, self._begun = np.arange(count), np.ones(count, np.bool_)
         self._owed = 0.0  # due updates
         self.published = self.replica()
         self.value_shape = agent.value_shape
@@ -152,7 +153,7 @@ class OffPolicyLearner:
         rollout = self.rollout
         observations, q = rollout.observations.copy(), rollout.q.copy()
         self._normalisation.update(observations)
-        actions = self.agent.act(self._states(observations, q), self._begun, self._success())
+        actions = self.agent.act(self._states(observations, q), self._rows, self._begun, self._success())
         step = rollout.step(self.agent.environment_actions(actions))
         self.replay_buffer.add(
             observations, q, actions, step.symbols, step.next_observations, step.terminated, step.ended, step.reached

@@ -18,3 +18,11 @@ def product_states(observations: Observations, q: NDArray[np.integer], dfa_state
     joined[:, :size] = observations
     joined[np.arange(rows), size + q] = 1.0
     return joined
+
+
+def with_goal(states: Floats, goal: int, length: int) -> Floats:
+    """Product states [N, d + |Q|] followed by a one-hot goal of some ``length``."""
+    joined = np.zeros((len(states), states.shape[1] + length), np.float32)
+    joined[:, : states.shape[1]] = states
+    joined[:, states.shape[1] + goal] = 1.0
+    return joined

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,9 +14,10 @@ from t4nmtd_dist.agents.common.restarts import Restarts
 from t4nmtd_dist.core.errors import EnvError
 from t4nmtd_dist.core.state_dict import State, stacked
 from t4nmtd_dist.environments.batched import BatchedEnv, Observations, Rows
-from t4nmtd_dist.method.protocol import NO_TARGET, Change, Ending, Mask, Method, States
+from t4nmtd_dist.method.protocol import NO_TARGET, Change, Ending, Mask, States
 from t4nmtd_dist.method.rewards import SymbolReader
-from t4nmtd_dist.method.start_states import InitialStateBuffer
+from t4nmtd_dist.method.roles import Role
+from t4nmtd_dist.method.start_states import InitialStateBuffer, StartState
 
 
 @dataclass(frozen=True)
@@ -58,6 +59,24 @@ class Progress:
     starts: list[tuple[int, NDArray[Any]]] = field(default_factory=list)
 
 
+class AttemptRules(Protocol):
+    """The rules of ``Method`` that a rollout needs."""
+
+    def role(self, name: str) -> Role:
+        """See ``Method.role``."""
+
+    def starts(
+        self, role: str, buffer: InitialStateBuffer, count: int, rng: np.random.Generator
+    ) -> Sequence[StartState]:
+        """See ``Method.starts``."""
+
+    def ends(self, role: str, q: States, q_next: States, steps: States) -> NDArray[np.int8]:
+        """See ``Method.ends``."""
+
+    def hands_over(self, role: str, q: States, q_next: States) -> Mask:
+        """See ``Method.hands_over``."""
+
+
 class Rollout:
     """N environments, each always within an attempt of one role.
 
@@ -82,7 +101,7 @@ class Rollout:
         self,
         env: BatchedEnv,
         reader: SymbolReader,
-        method: Method,
+        method: AttemptRules,
         role: str,
         buffer: InitialStateBuffer,
         rng: np.random.Generator,

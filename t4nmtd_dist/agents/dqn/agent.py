@@ -23,9 +23,14 @@ Floats = NDArray[np.float32]
 
 def build(context: AgentContext) -> OffPolicyLearner:
     """See ``protocol.AgentBuilder``."""
-    config, rng = context.task.config.agent, context.rng()
+    rng = context.rng()
+    return OffPolicyLearner(context, context.task.config.agent, algorithm(context, rng), rng)
+
+
+def algorithm(context: AgentContext, rng: np.random.Generator) -> DQN:
+    """See ``protocol.OffPolicyBuilder``."""
     networks = initial_networks(context.inputs, context.action_count(), context.settings.hidden, context.seed)
-    return OffPolicyLearner(context, config, DQN(networks, config, context.device, rng), rng)
+    return DQN(networks, context.task.config.agent, context.device, rng)
 
 
 def initial_networks(inputs: int, actions: int, hidden: tuple[int, ...], seed: int) -> QNetworks:
@@ -62,7 +67,7 @@ class DQN:
         self.updater = DQNUpdate(self.networks, config, device)
         self.interactions = 0
 
-    def act(self, states: Floats, begun: NDArray[np.bool_], success: float) -> Floats:
+    def act(self, states: Floats, rows: NDArray[np.int64], begun: NDArray[np.bool_], success: float) -> Floats:
         """See ``OffPolicyAgent.act``; epsilon-greedy action indices."""
         q = self.q_values(states)
         epsilon = epsilon_after(self.interactions, self._config)

@@ -30,8 +30,13 @@ TAU = 0.005  # step of the target networks
 
 def build(context: AgentContext) -> OffPolicyLearner:
     """See ``protocol.AgentBuilder``."""
-    config, rng = context.task.config.agent, context.rng()
-    return OffPolicyLearner(context, config, SAC(context, config, rng), rng)
+    rng = context.rng()
+    return OffPolicyLearner(context, context.task.config.agent, algorithm(context, rng), rng)
+
+
+def algorithm(context: AgentContext, rng: np.random.Generator) -> SAC:
+    """See ``protocol.OffPolicyBuilder``."""
+    return SAC(context, context.task.config.agent, rng)
 
 
 def updater_on(device: str, state_size: int, action_size: int, settings: SACSettings, seed: int) -> SoftActorCritic:
@@ -80,10 +85,10 @@ class SAC:
         self._noise_seeds = itertools.count(context.seed + 1)
         self._earlier_losses: tuple[float | None, float | None] = (None, None)
 
-    def act(self, states: Floats, begun: NDArray[np.bool_], success: float) -> Floats:
+    def act(self, states: Floats, rows: NDArray[np.int64], begun: NDArray[np.bool_], success: float) -> Floats:
         """See ``OffPolicyAgent.act``; actions within [-1, 1]."""
-        self._exploration.begin(begun, success)
-        return self._exploration.drive(self.updater.act(states, deterministic=False))
+        self._exploration.begin(rows[begun], success)
+        return self._exploration.drive(rows, self.updater.act(states, deterministic=False))
 
     def environment_actions(self, actions: Floats) -> Floats:
         """See ``OffPolicyAgent.environment_actions``."""

@@ -1,0 +1,1 @@
+"""The learner of methods whose roles share one environment: several networks, one replay buffer."""
