@@ -91,9 +91,9 @@ def test_it_gives_up_after_five_crashes(tmp_path: Path) -> None:
     assert (code, len(told)) == (CRASHED, 6)
 
 
-def test_a_preset_is_passed_on(tmp_path: Path) -> None:
-    _, (first,) = calls(tmp_path, [SOLVED], PRESET="paper")
-    assert first.startswith("--task task7 --preset paper --seed 5 ")
+def test_method_and_preset_are_passed_on(tmp_path: Path) -> None:
+    _, (first,) = calls(tmp_path, [SOLVED], PRESET="paper", METHOD="random")
+    assert first.startswith("--task task7 --method random --preset paper --seed 5 ")
 
 
 def test_the_compose_test_asks_for_what_a_status_has() -> None:

@@ -189,7 +189,8 @@ def test_an_exported_policy_acts_greedily(tmp_path: Path) -> None:
 
 
 def test_auto_does_not_choose_it_and_a_task_file_can() -> None:
-    assert agent_for("discrete") == "ppo"
+    assert agent_for("discrete", "t4nmtd") == "ppo"
+    assert agent_for("discrete", "crm") == "dqn"
     config = load_task("task7", flags=["learner.algorithm=dqn"])
     assert config.agent == DQNConfig()
     assert (config.learner.gamma, config.learner.attempt_steps) == (0.95, 60), "task 7 gives its own"

@@ -41,16 +41,9 @@ def off_policy_module(algorithm: str) -> OffPolicyBuilder:
     """The ``agent`` module of an off-policy agent.
 
     Raises:
-        ConfigError: as for ``shapes_module``; also if the agent is on-policy.
+        ConfigError: as for ``shapes_module``.
     """
-    module = _module(algorithm, "agent")
-    if not hasattr(module, "algorithm"):
-        known = [name for name in AGENTS.names() if hasattr(_module(name, "agent"), "algorithm")]
-        raise ConfigError(
-            f"learner.algorithm = {algorithm!r}: methods whose policies share an environment need an off-policy "
-            f"agent; expected one of {', '.join(known)}"
-        )
-    return cast(OffPolicyBuilder, module)
+    return cast(OffPolicyBuilder, _module(algorithm, "agent"))
 
 
 def _module(algorithm: str, part: str) -> ModuleType:

@@ -75,18 +75,22 @@ class Task:
         self.config = task_config(merge(data, _nested(settings or {})), source=f"task {name!r}")
 
     @classmethod
-    def load(cls, name: str | PathLike[str], settings: Settings | None = None, *, preset: str = "") -> Task:
+    def load(
+        cls, name: str | PathLike[str], settings: Settings | None = None, *, preset: str = "", method: str = ""
+    ) -> Task:
         """A bundled task (``"task7"``), or the task of a file (``"my_task.toml"``).
 
         Args:
             name: name or path.
             settings: override those of the file and of the preset.
             preset: name of settings that override those of the file; ``paper`` is the method as published.
+            method: name of the method that learns, such as ``crm``, with an agent that it can use.
 
         Raises:
             ConfigError: if there is no such task, or a setting is wrong.
         """
-        layers = [*setting_layers(task_file(str(name)), preset=preset), Layer("settings", _nested(settings or {}))]
+        below = setting_layers(task_file(str(name)), preset=preset, method=method)
+        layers = [*below, Layer("settings", _nested(settings or {}))]
         return cls.of(from_layers(str(name), layers))
 
     @classmethod

@@ -112,6 +112,8 @@ class Inspect:
     """Also draw the automaton into this file."""
     seed: int = 0
     """Seed of the run, which decides how decomposition.mode=random deals the transitions."""
+    method: str = ""
+    """Method laid over the task file, such as crm, with an agent that it can use."""
     preset: str = ""
     """Settings laid over the task file by name, such as paper."""
     translator: Literal["auto", "mona", "python"] = "auto"
@@ -134,7 +136,7 @@ class Inspect:
         if self.summary and (self.full or self.as_json):
             raise ConfigError("--summary leaves out what --full and --json print; give one of the three")
         if self.task is not None:
-            config = load_task(self.task, flags=self.set, preset=self.preset)
+            config = load_task(self.task, flags=self.set, preset=self.preset, method=self.method)
         else:
             config = formula_task(self.formula or "", self.set)
         summary = True if self.summary else False if self.full else None
@@ -158,6 +160,8 @@ class Config:
     """Name of a task, or the path of a task file."""
     config: Annotated[list[Path], tyro.conf.UseAppendAction] = field(default_factory=list)
     """TOML file laid over the task file; may be repeated."""
+    method: str = ""
+    """Method laid over the task file, such as crm, with an agent that it can use."""
     preset: str = ""
     """Settings laid over the task file by name, such as paper."""
     set: Annotated[list[str], tyro.conf.UseAppendAction, tyro.conf.arg(metavar="KEY=VALUE")] = field(
@@ -171,7 +175,7 @@ class Config:
         from t4nmtd_dist.tasks import from_layers, task_file
         from t4nmtd_dist.tasks.layers import setting_layers
 
-        layers = setting_layers(task_file(self.task), self.config, self.set, self.preset)
+        layers = setting_layers(task_file(self.task), self.config, self.set, preset=self.preset, method=self.method)
         print(settings_text(from_layers(self.task, layers), layers), end="")
         return 0
 
@@ -250,12 +254,20 @@ class Plot:
 
 @dataclass(frozen=True)
 class Tasks:
-    """List the tasks that come with the package."""
+    """List the tasks that come with the package, or the methods that can learn them."""
+
+    methods: bool = False
+    """List methods, for --method."""
 
     def run(self) -> int:
         """List."""
         from t4nmtd_dist.tasks import load_task, task_names
+        from t4nmtd_dist.tasks.methods import method_titles
 
+        if self.methods:
+            for name, title in method_titles().items():
+                print(f"{name:8} {title}")
+            return 0
         for name in task_names():
             print(f"{name}  {load_task(name).title}")
         print("\nA task of your own: a TOML file like theirs; `t4nmtd check FILE` tries it out (docs/own-task.md).")

@@ -3,6 +3,7 @@
 Such a module defines
 - ``CONFIG``: a frozen dataclass, the section ``[<name>]`` of a task file;
 - ``ACTIONS``: supported actions, ``"discrete"`` or ``"continuous"``;
+- ``OFF_POLICY`` (optional): whether it learns from a replay buffer; False by default;
 - ``EXPLORATION`` (optional): settings to raise for more exploration, as ``section.key``;
 - ``LEARNER_DEFAULTS`` (optional): defaults for keys of ``[learner]``;
 - ``FORMER_KEYS`` (optional): former keys and their replacements;
@@ -18,7 +19,7 @@ from dataclasses import dataclass
 from functools import cache
 from typing import Any, Literal
 
-from t4nmtd_dist.core.registry import AGENTS
+from t4nmtd_dist.core.registry import AGENTS, METHODS
 
 ActionKind = Literal["discrete", "continuous"]
 
@@ -29,6 +30,7 @@ class AgentSettings:
 
     config: type
     actions: ActionKind
+    off_policy: bool
     learner_defaults: Mapping[str, Any]
     former_keys: Mapping[str, str]
     exploration: tuple[str, ...]
@@ -46,6 +48,7 @@ def agent_settings(name: str) -> AgentSettings:
     return AgentSettings(
         config=module.CONFIG,
         actions=module.ACTIONS,
+        off_policy=getattr(module, "OFF_POLICY", False),
         learner_defaults=getattr(module, "LEARNER_DEFAULTS", {}),
         former_keys=getattr(module, "FORMER_KEYS", {}),
         exploration=getattr(module, "EXPLORATION", ()),
@@ -62,6 +65,11 @@ def default_sections() -> dict[str, Any]:
     return {name: agent_settings(name).config() for name in AGENTS.modules}
 
 
-def agent_for(actions: ActionKind) -> str:
-    """The agent chosen by ``auto``: the first registered one that supports these actions."""
-    return next(name for name in AGENTS.modules if agent_settings(name).actions == actions)
+def suits(agent: str, method: str) -> bool:
+    """Whether a method can use an agent: one whose roles share an environment needs off-policy agents."""
+    return agent_settings(agent).off_policy or not getattr(METHODS.module(method), "SHARES_ENV", False)
+
+
+def agent_for(actions: ActionKind, method: str) -> str:
+    """The agent chosen by ``auto``: the first registered one that supports these actions and suits the method."""
+    return next(name for name in AGENTS.modules if agent_settings(name).actions == actions and suits(name, method))

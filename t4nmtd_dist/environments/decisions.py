@@ -20,7 +20,7 @@ def decided(config: TaskConfig, action_space: object) -> TaskConfig:
     """
     if config.learner.algorithm == "auto":
         discrete = isinstance(action_space, spaces.Discrete)
-        config = with_algorithm(config, agent_for("discrete" if discrete else "continuous"))
+        config = with_algorithm(config, agent_for("discrete" if discrete else "continuous", config.learner.method))
     if config.learner.normalise_observations == "auto":
         needed = not is_packages_environment(config.environment)
         learner = dataclasses.replace(config.learner, normalise_observations="on" if needed else "off")

@@ -28,6 +28,8 @@ def coordinator_command(program: Program) -> list[str]:
         command += ["--max-interactions", str(options.max_interactions)]
     if options.transfer_from is not None:
         command += ["--transfer-from", str(options.transfer_from)]
+    if options.method:
+        command += ["--method", options.method]
     if options.preset:
         command += ["--preset", options.preset]
     for path in options.config:

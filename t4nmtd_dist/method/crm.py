@@ -11,6 +11,7 @@ from t4nmtd_dist.method import product, shared_rows
 from t4nmtd_dist.method.decomposition import Decomposition
 from t4nmtd_dist.method.shared_rows import PolicyPerState
 
+SHARES_ENV = True
 decompose = shared_rows.decompose
 
 

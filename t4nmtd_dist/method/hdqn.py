@@ -21,6 +21,7 @@ from t4nmtd_dist.method.rewards import environment_rewards
 from t4nmtd_dist.method.roles import error_penalty
 from t4nmtd_dist.method.shared_rows import LEARNER
 
+SHARES_ENV = True
 EXPLORED_DECISIONS = 2000
 """Choices over which the upper level's exploration decreases from 1 to ``high_level.epsilon``."""
 

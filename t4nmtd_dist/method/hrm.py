@@ -16,6 +16,7 @@ from t4nmtd_dist.method.decomposition import Decomposition
 from t4nmtd_dist.method.options import LinearSchedule, OptionMethod, option_role, paid_above
 from t4nmtd_dist.method.protocol import Reading, States
 
+SHARES_ENV = True
 decompose = shared_rows.decompose
 
 

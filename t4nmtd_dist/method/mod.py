@@ -17,6 +17,7 @@ from t4nmtd_dist.method.decomposition import Decomposition
 from t4nmtd_dist.method.roles import role_of
 from t4nmtd_dist.method.shared_rows import PolicyPerState
 
+SHARES_ENV = True
 decompose = shared_rows.decompose
 
 

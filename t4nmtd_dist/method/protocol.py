@@ -234,7 +234,11 @@ class Unstaged:
 
 
 class MethodModule(Protocol):
-    """Functions of a module in ``METHODS``."""
+    """Functions of a module in ``METHODS``.
+
+    Its docstring begins with a line for ``t4nmtd tasks --methods``. A module whose roles share an environment has
+    ``SHARES_ENV = True``.
+    """
 
     def decompose(self, config: TaskConfig, dfa: DFA, *, seed: int, deadline: Deadline | None) -> Decomposition:
         """The roles and their transitions.

@@ -14,8 +14,10 @@ from numpy.typing import NDArray
 from t4nmtd_dist.automata.deadline import Deadline
 from t4nmtd_dist.automata.dfa import DFA
 from t4nmtd_dist.automata.reduction import Transition, reduce_automaton
+from t4nmtd_dist.core.agent_settings import suits
 from t4nmtd_dist.core.config import TaskConfig
 from t4nmtd_dist.core.errors import ConfigError
+from t4nmtd_dist.core.registry import AGENTS
 from t4nmtd_dist.method.decomposition import Decomposition
 from t4nmtd_dist.method.decomposition import decompose as decompose_automaton
 from t4nmtd_dist.method.high_level import QEntries
@@ -40,12 +42,18 @@ def decompose(config: TaskConfig, dfa: DFA, *, seed: int, deadline: Deadline | N
     """One learner with all transitions; see ``MethodModule.decompose``.
 
     Raises:
-        ConfigError: see ``edges``; also if ``decomposition.mode`` is ``random``, since no sub-tasks are formed.
+        ConfigError: see ``edges``; also if ``decomposition.mode`` is ``random``, since no sub-tasks are formed, or if
+            the agent is on-policy.
     """
-    if config.decomposition.mode == "random":
+    agent, method = config.learner.algorithm, config.learner.method
+    if agent in AGENTS.modules and not suits(agent, method):
+        able = [name for name in AGENTS.names() if suits(name, method)]
         raise ConfigError(
-            f'decomposition.mode = "random" has no effect on learner.method = "{config.learner.method}"; leave it out'
+            f"learner.algorithm = {agent!r}: learner.method = {method!r} learns from a replay buffer; expected one of "
+            f"{', '.join(able)}; --method {method} chooses one"
         )
+    if config.decomposition.mode == "random":
+        raise ConfigError(f'decomposition.mode = "random" has no effect on learner.method = "{method}"; leave it out')
     return Decomposition({LEARNER: edges(config, dfa, deadline)})
 
 

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from t4nmtd_dist.agents.actors import make_actor, make_upper
 from t4nmtd_dist.agents.common.product_states import product_states, with_goal
 from t4nmtd_dist.agents.protocol import Actions
-from t4nmtd_dist.agents.weights import UPPER, networks_of
+from t4nmtd_dist.agents.weights import UPPER, acting_parameters, networks_of
 from t4nmtd_dist.automata.acceptance import LAST
 from t4nmtd_dist.automata.dfa import DFA
 from t4nmtd_dist.core.action_modes import ActionMode, action_mode
@@ -84,7 +84,11 @@ class GlobalPolicy:
     ) -> None:
         self.config, self.dfa, self.decomposition, self.rho = task.config, task.dfa, task.decomposition, task.rho
         self.q_table = q_table
-        networks = {name or pid: own for pid, weights in actors.items() for name, own in networks_of(weights).items()}
+        networks = {
+            name or pid: own
+            for pid, weights in actors.items()
+            for name, own in networks_of(acting_parameters(weights)).items()
+        }
         self._method = self._restored_method()
         self._roles = {name: self._method.role(name) for name in self._method.roles}
         self._goals = sum(role.goal is not None for role in self._roles.values())

@@ -33,6 +33,8 @@ class RunOptions:
     """Budget of environment steps of all learners together."""
     config: list[Path] = field(default_factory=list)
     """TOML file laid over the task file; may be repeated."""
+    method: str = ""
+    """Method that learns, such as crm, with an agent that it can use; `t4nmtd tasks --methods` lists them."""
     preset: str = ""
     """Settings laid over the task file by name; `paper` is the method as published."""
     set: list[str] = field(default_factory=list)

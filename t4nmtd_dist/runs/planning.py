@@ -17,6 +17,7 @@ from t4nmtd_dist.runs.event_files import check_tensorboard
 from t4nmtd_dist.runs.options import RunOptions
 from t4nmtd_dist.runs.resuming import Identity, StoppedRun, new_identity, read_stopped_run
 from t4nmtd_dist.tasks import load_task
+from t4nmtd_dist.tasks.methods import method_settings
 from t4nmtd_dist.tasks.presets import preset_settings
 
 Warn = Callable[[str], object]
@@ -74,7 +75,9 @@ def plan_run(options: RunOptions, *, serial: bool = False, warn: Warn = print) -
     if not options.task:
         raise ConfigError("expected --task NAME for a new run, or --resume RUN to go on with one")
     return plan_task(
-        load_task(options.task, configs=options.config, flags=options.set, preset=options.preset),
+        load_task(
+            options.task, configs=options.config, flags=options.set, preset=options.preset, method=options.method
+        ),
         options,
         serial=serial,
     )
@@ -139,6 +142,8 @@ def _check_same_settings(options: RunOptions, stopped: StoppedRun) -> TaskConfig
     """The run's settings, with the requested budget and time limit."""
     own = stopped.config.to_dict()
     asked: Mapping[str, Any] = own
+    if options.method:
+        asked = merge(asked, method_settings(options.method, own))
     if options.preset:
         asked = merge(asked, preset_settings(options.preset, own))
     for path in options.config:

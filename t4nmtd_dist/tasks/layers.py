@@ -10,6 +10,7 @@ from typing import Any
 
 from t4nmtd_dist.core.config import TaskConfig, learner_defaults
 from t4nmtd_dist.core.setting_sources import merge, read_toml, settings_from_flags
+from t4nmtd_dist.tasks.methods import method_settings
 from t4nmtd_dist.tasks.presets import preset_settings
 
 DEFAULT = "default"
@@ -31,17 +32,20 @@ class Layer:
 
 
 def setting_layers(
-    task: Path, configs: Iterable[Path] = (), flags: Iterable[str] = (), preset: str = ""
+    task: Path, configs: Iterable[Path] = (), flags: Iterable[str] = (), *, preset: str = "", method: str = ""
 ) -> list[Layer]:
-    """A task file, a preset, files laid over them and ``--set`` flags, the lowest layer first.
+    """A task file, a method, a preset, files laid over them and ``--set`` flags, the lowest layer first.
 
     Raises:
-        ConfigError: if a file cannot be read, a flag is malformed, or there is no such preset.
+        ConfigError: if a file cannot be read, a flag is malformed, or there is no such preset or method.
     """
-    lowest = Layer(task.name, read_toml(task))
-    presets = [Layer(f"--preset {preset}", preset_settings(preset, lowest.data))] if preset else []
+    layers = [Layer(task.name, read_toml(task))]
+    if method:
+        layers.append(Layer(f"--method {method}", method_settings(method, merged(layers))))
+    if preset:
+        layers.append(Layer(f"--preset {preset}", preset_settings(preset, merged(layers))))
     files = [Layer(f"--config {path}", read_toml(path)) for path in configs]
-    return [lowest, *presets, *files, Layer("--set", settings_from_flags(flags))]
+    return [*layers, *files, Layer("--set", settings_from_flags(flags))]
 
 
 def merged(layers: Iterable[Layer]) -> dict[str, Any]:

@@ -19,19 +19,22 @@ def task_names() -> list[str]:
     return sorted(entry.name.removesuffix(".toml") for entry in found if entry.name.endswith(".toml"))
 
 
-def load_task(name: str, *, configs: Iterable[Path] = (), flags: Iterable[str] = (), preset: str = "") -> TaskConfig:
+def load_task(
+    name: str, *, configs: Iterable[Path] = (), flags: Iterable[str] = (), preset: str = "", method: str = ""
+) -> TaskConfig:
     """The settings of a task.
 
     Args:
         name: a name such as ``task7``, or the path of a task file of your own (``*.toml``).
-        preset: name of settings laid over the task file before all others (``tasks.presets``).
+        method: name of a method laid over the task file before all others (``tasks.methods``).
+        preset: name of settings laid over them (``tasks.presets``).
         configs: further TOML files laid over the task file, in order.
         flags: ``section.key=value`` texts laid over everything.
 
     Raises:
         ConfigError: for an unknown task, an unreadable file, or settings that ``task_config`` refuses.
     """
-    return from_layers(name, setting_layers(task_file(name), configs, flags, preset))
+    return from_layers(name, setting_layers(task_file(name), configs, flags, preset=preset, method=method))
 
 
 def from_layers(name: str, layers: Iterable[Layer]) -> TaskConfig:

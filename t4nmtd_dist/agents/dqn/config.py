@@ -53,6 +53,7 @@ class DQNConfig:
 CONFIG = DQNConfig
 FORMER_KEYS: Mapping[str, str] = {"steps_per_iteration": "it is fixed at 10 now"}
 ACTIONS = "discrete"
+OFF_POLICY = True
 EXPLORATION = ("dqn.epsilon_steps",)
 
 

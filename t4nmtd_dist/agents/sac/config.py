@@ -62,6 +62,7 @@ class SACConfig:
 
 CONFIG = SACConfig
 ACTIONS = "continuous"
+OFF_POLICY = True
 EXPLORATION = ("sac.exploration_share",)
 LEARNER_DEFAULTS: Mapping[str, Any] = {
     "gamma": 0.98,

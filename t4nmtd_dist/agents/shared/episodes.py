@@ -15,7 +15,7 @@ from t4nmtd_dist.method.start_states import InitialStateBuffer, StartState
 
 
 class Episodes:
-    """``AttemptRules`` of attempts at the whole task: from the reset until acceptance, an error or a time-out.
+    """``AttemptRules`` of attempts at the whole task: from the reset until acceptance, an error or the horizon.
 
     An episode also ends where no role of the method is available.
     """
@@ -38,8 +38,9 @@ class Episodes:
         return [StartState(self._task.dfa.initial, None)] * count
 
     def ends(self, role: str, q: States, q_next: States, steps: States) -> NDArray[np.int8]:
-        """Where no role is available."""
-        return np.where(self._nobody[q_next], Ending.RESTART, Ending.KEEP).astype(np.int8)
+        """At the horizon, and where no role is available."""
+        over = self._nobody[q_next] | (steps >= self._task.config.environment.horizon)
+        return np.where(over, Ending.RESTART, Ending.KEEP).astype(np.int8)
 
     def hands_over(self, role: str, q: States, q_next: States) -> Mask:
         """Nothing is handed over."""
