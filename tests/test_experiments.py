@@ -13,6 +13,7 @@ from processes import Processes
 
 from t4nmtd_dist.cli.experiment import parse_seeds, plot_curves, print_tables
 from t4nmtd_dist.core.errors import ConfigError, RunError
+from t4nmtd_dist.core.registry import METHODS
 from t4nmtd_dist.core.setting_sources import settings_from_flags
 from t4nmtd_dist.environments.timed import make_task_env
 from t4nmtd_dist.experiments.arms import CAPS, EXPERIMENTS, PAIRS, applies, check_tasks, experiment
@@ -48,12 +49,22 @@ def test_arms_differ_in_one_setting(name: str, task: str) -> None:
 
 @pytest.mark.parametrize("task", task_names())
 def test_plain_arms_are_without_relabelling_and_peers_experience_where_there_is_any(task: str) -> None:
-    config = load_task(task)
     for each in EXPERIMENTS.values():
         for arm in each.arms:
-            plain = load_task(task, flags=arm.settings, preset=arm.preset).agents["sac"]
-            assert (arm.plain or arm.preset == "paper") == (plain.relabel_share == plain.peer_share == 0)
-            assert applies(arm, config) == (not arm.plain or config.learner.algorithm == "sac")
+            config = load_task(task, flags=arm.settings, preset=arm.preset, method=arm.method)
+            if not applies(arm, load_task(task)) or config.learner.algorithm == "ppo":
+                continue
+            plain = arm.name.endswith("-plain") or arm.preset == "paper"
+            assert plain == (config.agent.relabel_share == config.agent.peer_share == 0), arm.name
+
+
+@pytest.mark.parametrize("task", ["task5", "task7"])
+def test_the_comparison_has_every_method_and_t4nmtd_with_each_of_their_agents(task: str) -> None:
+    arms = [arm for arm in EXPERIMENTS["comparison"].arms if applies(arm, load_task(task))]
+    configs = [load_task(task, flags=arm.settings, preset=arm.preset, method=arm.method) for arm in arms]
+    assert {config.learner.method for config in configs} == set(METHODS.names()) - {"random"}
+    used = {config.learner.algorithm for config in configs}
+    assert used == {config.learner.algorithm for config in configs if config.learner.method == "t4nmtd"}
 
 
 def test_every_arms_settings_are_known_and_every_task_has_a_cap() -> None:
@@ -61,7 +72,7 @@ def test_every_arms_settings_are_known_and_every_task_has_a_cap() -> None:
     for each in EXPERIMENTS.values():
         for arm in each.arms:
             assert settings_from_flags(arm.settings) is not None
-            load_task("task5", flags=arm.settings, preset=arm.preset)
+            load_task("task5", flags=arm.settings, preset=arm.preset, method=arm.method)
 
 
 @pytest.mark.parametrize("task", task_names())

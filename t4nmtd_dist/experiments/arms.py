@@ -43,6 +43,8 @@ BOTH_PONDS = {
 """Experiment 4 trains task 1 among the 24 balls of task 2, from scratch too, since observations must be alike."""
 
 PLAIN = ("sac.relabel_share=0", "sac.peer_share=0")
+DQN = ("learner.algorithm=dqn",)
+PLAIN_DQN = ("dqn.relabel_share=0", "dqn.peer_share=0")
 
 
 @dataclass(frozen=True)
@@ -52,15 +54,17 @@ class Arm:
     Attributes:
         name: also the name of its folder.
         settings: ``key=value`` as for ``--set``; arms of an experiment differ in nothing else.
+        method: as for ``--method``.
         preset: as for ``--preset``.
-        plain: an arm without relabelling and peers' experience, which are not in the paper.
+        agents: agents of the tasks in which it differs from the others; none for all tasks.
         source: arm of whose run, of the same seed and the task that ``PAIRS`` names, the networks are transferred.
     """
 
     name: str
     settings: tuple[str, ...] = ()
+    method: str = ""
     preset: str = ""
-    plain: bool = False
+    agents: tuple[str, ...] = ()
     source: str = ""
 
 
@@ -93,7 +97,8 @@ class Experiment:
 
 
 def _with_plain(arms: Sequence[Arm]) -> tuple[Arm, ...]:
-    plain = [Arm(f"{arm.name}-plain", (*arm.settings, *PLAIN), arm.preset, plain=True) for arm in arms]
+    """The arms, and each without relabelling and peers' experience, which are not in the paper; PPO has neither."""
+    plain = [Arm(f"{arm.name}-plain", (*arm.settings, *PLAIN), agents=("sac",)) for arm in arms]
     return (*arms, *plain)
 
 
@@ -105,10 +110,14 @@ EXPERIMENTS = {
             "Experiment 1: methods",
             (
                 Arm("t4nmtd"),
-                Arm("t4nmtd-plain", PLAIN, plain=True),
+                Arm("t4nmtd-plain", PLAIN, agents=("sac",)),
+                Arm("t4nmtd-dqn", DQN, agents=("ppo",)),
+                Arm("t4nmtd-dqn-plain", (*DQN, *PLAIN_DQN), agents=("ppo",)),
                 Arm("paper", preset="paper"),
-                Arm("lsts", ("learner.method=lsts",)),
-                Arm("dirl", ("learner.method=dirl",)),
+                *(
+                    Arm(method, method=method)
+                    for method in ("product", "mod", "qrm", "crm", "hrm", "hdqn", "lsts", "dirl")
+                ),
             ),
         ),
         Experiment(
@@ -143,8 +152,8 @@ def experiment(name: str) -> Experiment:
 
 
 def applies(arm: Arm, task: TaskConfig) -> bool:
-    """Whether an arm differs from the others in a task: with PPO there is no experience to be without."""
-    return not arm.plain or task.learner.algorithm == "sac"
+    """Whether an arm differs from the others in a task."""
+    return not arm.agents or task.learner.algorithm in arm.agents
 
 
 def check_tasks(names: Sequence[str]) -> tuple[str, ...]:

@@ -61,6 +61,7 @@ class Job:
         if (self.folder / CHECKPOINTS_FOLDER / IDENTITY_FILE).exists():
             return [*command, "--resume", str(self.folder)]
         command += ["--task", self.task, "--seed", str(self.seed), "--max-interactions", str(self.cap), "--restart"]
+        command += ["--method", self.arm.method] if self.arm.method else []
         command += ["--preset", self.arm.preset] if self.arm.preset else []
         command += [part for setting in self.settings for part in ("--set", setting)]
         command += ["--transfer-from", str(self.source)] if self.source is not None else []

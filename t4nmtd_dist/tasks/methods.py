@@ -25,7 +25,7 @@ def method_settings(name: str, task: Mapping[str, Any]) -> dict[str, Any]:
     METHODS.check(name, "--method")
     section = task.get("learner")
     agent = section.get("algorithm") if isinstance(section, Mapping) else None
-    if agent not in AGENTS.modules or suits(agent, name):
+    if not isinstance(agent, str) or agent not in AGENTS.modules or suits(agent, name):
         return {"learner": {"method": name}}
     return {"learner": {"method": name, "algorithm": agent_for(agent_settings(agent).actions, name)}}
 
