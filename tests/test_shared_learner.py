@@ -21,6 +21,7 @@ from t4nmtd_dist.core.errors import ConfigError, PolicyError
 from t4nmtd_dist.core.state_dict import copied, joined, split
 from t4nmtd_dist.launch.serial import SerialRun
 from t4nmtd_dist.method.compiled import compile_task
+from t4nmtd_dist.method.options import ClosedOptions
 from t4nmtd_dist.method.protocol import Ending
 from t4nmtd_dist.policy.global_policy import GlobalPolicy
 from t4nmtd_dist.policy.loading import load
@@ -143,6 +144,21 @@ def test_a_goal_that_is_given_up_ends_its_returns_but_bootstraps() -> None:
         rows[:-2][given_up][:1], replay.q[rows[:-2]][given_up][:1], learner._roles[number].tables, delta, 0.9, 3
     )
     assert returns.discount.tolist() == [0.9]
+
+
+@pytest.mark.parametrize("method", OPTIONS)
+def test_an_option_that_is_open_at_a_time_out_is_closed_and_bootstraps(method: str) -> None:
+    learner = shared_learner(method, "environment.horizon=1")
+    assert learner._options is not None
+    told: list[ClosedOptions] = []
+    learner._options._upper.learn = told.append  # type: ignore[method-assign]
+    learner._begin()
+    learner._step()
+    (closed,) = told
+    assert closed.q.tolist() == closed.q_next.tolist() == [0, 0]
+    assert closed.discounts.tolist() == [0.95, 0.95]
+    assert closed.mask.any(axis=1).all()
+    assert learner._active._steps.tolist() == [0, 0]
 
 
 # What is drawn
