@@ -25,7 +25,7 @@ from t4nmtd_dist.method.options import ClosedOptions
 from t4nmtd_dist.method.protocol import Ending
 from t4nmtd_dist.policy.global_policy import GlobalPolicy
 from t4nmtd_dist.policy.loading import load
-from t4nmtd_dist.runs.directory import RunDirectory
+from t4nmtd_dist.runs.directory import read_summary
 from t4nmtd_dist.tasks import load_task
 
 
@@ -280,14 +280,14 @@ def test_a_run_in_processes_is_stopped_resumed_and_exported(tmp_path: Path, comm
     begun = ["--task", "task7", "--method", "hrm", "--run-dir", str(tmp_path / "run"), "--no-dashboard", *flags]
     first = commands.start("t4nmtd", "train", *begun)
     assert first.wait(120) == 3, first.story()
-    summary = RunDirectory(tmp_path / "run").read_summary()
+    summary = read_summary(tmp_path / "run")
     assert summary["outcome"] == "budget spent"
     policy = load(tmp_path / "run")
     assert policy.config.learner.method == "hrm"
     again = ["--resume", str(tmp_path / "run"), "--no-dashboard", "--max-interactions", "6000"]
     second = commands.start("t4nmtd", "train", *again)
     assert second.wait(120) == 3, second.story()
-    assert RunDirectory(tmp_path / "run").read_summary()["interactions_total"] >= 6000
+    assert read_summary(tmp_path / "run")["interactions_total"] >= 6000
 
 
 @pytest.mark.training
