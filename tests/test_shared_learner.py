@@ -291,11 +291,13 @@ def test_a_run_in_processes_is_stopped_resumed_and_exported(tmp_path: Path, comm
 
 
 @pytest.mark.training
-@pytest.mark.timeout(300)
-@pytest.mark.parametrize("method", ["crm", "mod", "qrm"])
+@pytest.mark.timeout(600)
+@pytest.mark.parametrize(
+    "method", ["crm", *(pytest.param(name, marks=pytest.mark.nightly) for name in SHARED if name != "crm")]
+)
 def test_task_7_is_solved(method: str) -> None:
     task = compile_task(load_task("task7", method=method))
-    run = SerialRun(task, RunSettings(100, 150_000, lease_s=np.inf), lambda: 0.0)
+    run = SerialRun(task, RunSettings(100, 300_000, lease_s=np.inf), lambda: 0.0)
     for _ in run.steps():
         pass
     assert run.coordinator.outcome == "solved"
