@@ -17,9 +17,10 @@ from t4nmtd_dist.core.registry import METHODS
 from t4nmtd_dist.core.setting_sources import settings_from_flags
 from t4nmtd_dist.environments.timed import make_task_env
 from t4nmtd_dist.experiments.arms import CAPS, EXPERIMENTS, PAIRS, applies, check_tasks, experiment
+from t4nmtd_dist.experiments.final_evaluation import read_evaluation
 from t4nmtd_dist.experiments.jobs import Job, JobQueue, make_jobs
 from t4nmtd_dist.experiments.results import keep, read_results
-from t4nmtd_dist.experiments.tables import tables
+from t4nmtd_dist.experiments.tables import run_table, tables
 from t4nmtd_dist.tasks import load_task, task_names
 
 END_S = 100.0
@@ -100,6 +101,7 @@ def test_a_transfer_waits_for_its_source_and_is_given_up_if_that_was_not_solved(
         job.folder.mkdir(parents=True)
         summary = {"outcome": "budget spent", "interactions_total": 1}
         (job.folder / "summary.json").write_text(json.dumps(summary), encoding="utf-8")
+        (job.folder / "evaluation.json").touch()
     queue = JobQueue(jobs, parallel=1, tell=lambda _: None)
     assert not queue.turn()
     assert "was not solved" in queue.failed["transfer task7 seed 0"]
@@ -130,7 +132,7 @@ def test_malformed_seeds_are_refused(text: str) -> None:
 
 
 def test_unknown_names_are_refused_with_the_known_ones() -> None:
-    with pytest.raises(ConfigError, match="unknown experiment 'trnsfer'; known: comparison"):
+    with pytest.raises(ConfigError, match="unknown experiment 'trnsfer'; known: tasks, comparison"):
         experiment("trnsfer")
     with pytest.raises(ConfigError, match="unknown arm 'lstm'; known: t4nmtd"):
         experiment("comparison").chosen(["lstm"])
@@ -187,6 +189,7 @@ def test_the_tables_have_the_numbers_of_the_runs(results: Path) -> None:
     assert on[2:6] == ["3/3", "29% to 100%", "3/3", "2,000"]
     assert off[2:6] == ["2/3", "9% to 99%", "2/3", "8,000"]
     assert off[6].startswith("7,333 (")
+    assert on[9:11] == ["-", "-"], "not evaluated"
     assert (on[8], off[8]) == (f"{(0.8 + 0.6 + 0.8) / 3:.2f}", f"{(0.6 + 0.2 + 0.0) / 3:.2f}")
     assert ["off", "task7", "4.00", "2.00 to inf"] in rows
     overall = next(row for row in rows if row[0] == "off" and row[-1] in ("better", "worse", "undecided"))
@@ -203,6 +206,21 @@ def test_the_same_results_make_the_same_tables_and_copies_of_the_small_files_do_
     assert print_tables("intervention", tmp_path / "kept", None) == 0
     assert capsys.readouterr().out == first
     assert first.startswith("# Experiment 3")
+
+
+def test_there_is_a_row_for_every_run_and_their_means(results: Path) -> None:
+    chosen = EXPERIMENTS["intervention"]
+    for seed, (success, perturbed) in enumerate([(1.0, 0.5), (1.0, 0.7)]):
+        found = {"plain": {"success_rate": success, "mean_length": 10 + seed}, "perturbed": {"success_rate": perturbed}}
+        path = results / "intervention" / "intervention" / f"task7-s{seed}" / "evaluation.json"
+        path.write_text(json.dumps(found), encoding="utf-8")
+    rows = cells(run_table(read_results(chosen, results)))
+    assert rows[1] == ["task7", "intervention", "0", "yes", "2,000", "0.0%", "3", "0", "10", "100%", "50%", "-"]
+    assert rows[4] == ["task7", "intervention", "mean", "3 of 3", "2,667", "0.1%", "3", "0", "10", "100%", "60%", "-"]
+    assert rows[7] == ["task7", "off", "2", "no", *["-"] * 8]
+    (results / "intervention" / "off" / "task7-s0" / "evaluation.json").write_text("{", encoding="utf-8")
+    with pytest.raises(RunError, match=r"evaluation.json is damaged"):
+        read_results(chosen, results)
 
 
 def test_every_task_gets_a_picture(results: Path, tmp_path: Path) -> None:
@@ -265,3 +283,6 @@ def test_an_experiment_that_was_stopped_goes_on_and_ends_with_tables(commands: P
     third = commands.start("t4nmtd", *command)
     assert third.wait(END_S) == 0
     assert "4 of 4 runs have ended" in third.err
+    for folder in (root / "quick" / "decomposition").glob("*/task7-s*/"):
+        plain, perturbed = read_evaluation(folder) or ({}, {})
+        assert (plain["episodes"], perturbed["episodes"]) == (100, 100)

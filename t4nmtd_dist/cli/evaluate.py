@@ -6,15 +6,11 @@ import json
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
 from t4nmtd_dist.core.action_modes import ActionMode
 from t4nmtd_dist.core.errors import ConfigError
 from t4nmtd_dist.environments.trust import require_trust
-from t4nmtd_dist.policy.evaluation import EvaluationResult, Evaluator
 from t4nmtd_dist.policy.loading import load
-
-EPISODES_AT_ONCE = 50
+from t4nmtd_dist.policy.many_episodes import play_many
 
 
 def evaluate(
@@ -37,27 +33,13 @@ def evaluate(
         raise ConfigError(f"expected at least one episode and --perturb of 0 or more; got {episodes} and {perturb}")
     policy = load(path)
     require_trust(policy.config.environment, f"the policy in {path}", given=trust)
-    results: list[EvaluationResult] = []
-    for first in range(0, episodes, EPISODES_AT_ONCE):
-        evaluator = Evaluator(policy, min(EPISODES_AT_ONCE, episodes - first), seed=seed + first)
-        results.append(evaluator.run(policy, perturb=perturb, actions=actions))
-    found = {**_joined(results), "actions": actions or policy.mode}
+    found = play_many(policy, episodes, seed=seed, perturb=perturb, actions=actions)
+    found |= {"actions": actions or policy.mode}
     if as_json:
         print(json.dumps({"task": policy.config.name, **found}))
     else:
         _print_sentence(policy.config.name, found, perturb)
     return 0
-
-
-def _joined(results: list[EvaluationResult]) -> dict[str, Any]:
-    success = np.concatenate([result.success for result in results])
-    return {
-        "success_rate": float(success.mean()),
-        "mean_length": float(np.concatenate([result.lengths for result in results]).mean()),
-        "mean_return": float(np.concatenate([result.returns for result in results]).mean()),
-        "episodes": len(success),
-        "redrawn": sum(result.redrawn for result in results),
-    }
 
 
 def _print_sentence(task: str, found: dict[str, Any], perturb: int) -> None:

@@ -14,7 +14,7 @@ from t4nmtd_dist.core.registry import LAUNCHERS
 from t4nmtd_dist.experiments.arms import check_tasks, experiment
 from t4nmtd_dist.experiments.jobs import POLL_S, JobQueue, make_jobs
 from t4nmtd_dist.experiments.results import by_arm, keep, read_results
-from t4nmtd_dist.experiments.tables import tables
+from t4nmtd_dist.experiments.tables import run_table, tables
 from t4nmtd_dist.process.signals import noted_signals
 
 QUICK_TASKS, QUICK_SEEDS, QUICK_CAP_SHARE = ("task5", "task7"), (0, 1), 0.1
@@ -77,8 +77,8 @@ def _see_through(queue: JobQueue) -> bool:
     return False
 
 
-def print_tables(name: str, root: Path, kept: Path | None) -> int:
-    """Print the tables of an experiment; returns the exit code.
+def print_tables(name: str, root: Path, kept: Path | None, *, runs: bool = False) -> int:
+    """Print the tables of an experiment, or one with a row for every run; returns the exit code.
 
     Raises:
         ConfigError: for an unknown experiment.
@@ -87,7 +87,8 @@ def print_tables(name: str, root: Path, kept: Path | None) -> int:
     chosen = experiment(name)
     if kept is not None:
         _say(f"{keep(chosen, root, kept)} runs kept in {kept / name}")
-    print(tables(chosen, read_results(chosen, root)), end="")
+    results = read_results(chosen, root)
+    print(run_table(results) if runs else tables(chosen, results), end="")
     return 0
 
 

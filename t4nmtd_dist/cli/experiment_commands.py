@@ -8,7 +8,7 @@ from typing import Annotated, Literal
 
 import tyro
 
-Name = Annotated[Literal["comparison", "decomposition", "intervention", "transfer"], tyro.conf.Positional]
+Name = Annotated[Literal["tasks", "comparison", "decomposition", "intervention", "transfer"], tyro.conf.Positional]
 ROOT = Path("runs/experiments")
 
 
@@ -57,6 +57,8 @@ class Table:
     """Which experiment."""
     root: Path = ROOT
     """Folder of all experiments, or of kept results."""
+    runs: bool = False
+    """Print one row for every run instead."""
     keep: Path | None = None
     """Also copy the small files of all finished runs into this folder, from which table and plot read as well."""
 
@@ -64,7 +66,7 @@ class Table:
         """Print."""
         from t4nmtd_dist.cli.experiment import print_tables
 
-        return print_tables(self.name, self.root, self.keep)
+        return print_tables(self.name, self.root, self.keep, runs=self.runs)
 
 
 @dataclass(frozen=True)

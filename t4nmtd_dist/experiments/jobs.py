@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import signal
 import subprocess
+import sys
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -12,6 +13,7 @@ from pathlib import Path
 
 from t4nmtd_dist.core.errors import RunError
 from t4nmtd_dist.experiments.arms import CAPS, PAIRS, Arm, Experiment, applies
+from t4nmtd_dist.experiments.final_evaluation import EVALUATION_FILE
 from t4nmtd_dist.launch.command_lines import python_command
 from t4nmtd_dist.runs.directory import CHECKPOINTS_FOLDER, SUMMARY_FILE, read_summary
 from t4nmtd_dist.runs.resuming import IDENTITY_FILE
@@ -50,12 +52,19 @@ class Job:
         return f"{self.arm.name} {self.task} seed {self.seed}"
 
     @property
-    def ended(self) -> bool:
+    def trained(self) -> bool:
         """Whether it was solved or spent its budget."""
         return outcome(self.folder) in ENDED
 
+    @property
+    def ended(self) -> bool:
+        """Whether it was trained and its policy evaluated."""
+        return self.trained and (self.folder / EVALUATION_FILE).exists()
+
     def command(self, launcher: str) -> list[str]:
-        """Begin the run, or resume it from its checkpoints."""
+        """Begin the run, resume it from its checkpoints, or evaluate its policy."""
+        if self.trained:
+            return [sys.executable, "-P", "-m", "t4nmtd_dist.experiments.final_evaluation", str(self.folder)]
         command = [*python_command("t4nmtd"), "train", "--no-dashboard", "--launcher", launcher]
         command += ["--parent", str(os.getpid()), "--checkpoint-every", CHECKPOINT_EVERY_S]
         if (self.folder / CHECKPOINTS_FOLDER / IDENTITY_FILE).exists():
@@ -120,6 +129,7 @@ def make_jobs(
 class _Running:
     job: Job
     process: subprocess.Popen[bytes]
+    evaluates: bool
 
 
 class JobQueue:
@@ -188,6 +198,7 @@ class JobQueue:
             return
         job.folder.parent.mkdir(parents=True, exist_ok=True)
         log = job.folder.parent / f"{job.folder.name}.{LOG_FILE}"
+        evaluates = job.trained
         with log.open("ab") as file:
             environment = {**os.environ, "OMP_NUM_THREADS": "1", "MKL_NUM_THREADS": "1"}
             process = subprocess.Popen(
@@ -198,7 +209,7 @@ class JobQueue:
                 env=environment,
                 start_new_session=True,
             )
-        self._running.append(_Running(job, process))
+        self._running.append(_Running(job, process, evaluates))
 
     def _take_end(self, running: _Running) -> None:
         job = running.job
@@ -206,6 +217,9 @@ class JobQueue:
             self.ended += 1
             summary = read_summary(job.folder)
             self._tell(f"{job.name}: {summary['outcome']} after {summary['interactions_total']:,} interactions")
+            return
+        if job.trained and not running.evaluates:
+            self._start(job)
             return
         log = job.folder.parent / f"{job.folder.name}.{LOG_FILE}"
         last = log.read_text(encoding="utf-8", errors="replace").strip().splitlines()[-1:]

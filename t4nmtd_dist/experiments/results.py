@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import re
 import shutil
 from collections.abc import Mapping, Sequence
@@ -13,6 +14,7 @@ import numpy as np
 from t4nmtd_dist.core.errors import RunError
 from t4nmtd_dist.core.setting_sources import read_toml
 from t4nmtd_dist.experiments.arms import Experiment
+from t4nmtd_dist.experiments.final_evaluation import EVALUATION_FILE, read_evaluation
 from t4nmtd_dist.experiments.jobs import ENDED
 from t4nmtd_dist.runs.curves import RunCurves, read_run
 from t4nmtd_dist.runs.directory import CONFIG_FILE, SUMMARY_FILE, read_summary
@@ -21,7 +23,7 @@ from t4nmtd_dist.statistics.inputs import Floats
 from t4nmtd_dist.statistics.scores import area_under_success
 
 FOLDER = re.compile(r"(?P<task>.+)-s(?P<seed>\d+)")
-KEPT = (SUMMARY_FILE, CONFIG_FILE, "versions.json", "metrics/evaluations.csv")
+KEPT = (SUMMARY_FILE, CONFIG_FILE, "versions.json", "metrics/evaluations.csv", EVALUATION_FILE)
 
 
 @dataclass(frozen=True)
@@ -33,6 +35,11 @@ class Result:
         cap: its budget in interactions.
         score: area under its success curve up to the cap, from 0 to 1.
         wall_s: duration in seconds.
+        updates: gradient steps.
+        own_share: share of the values asked from a peer for which the own critic stood in; nan if none was asked.
+        length: mean length of 100 episodes of its policy from the reset in steps, nan if they were not played.
+        success: success rate of these episodes, from 0 to 1 or nan.
+        perturbed: the same from perturbed starts.
         curves: its evaluations.
     """
 
@@ -45,6 +52,11 @@ class Result:
     cap: int
     score: float
     wall_s: float
+    updates: int
+    own_share: float
+    length: float
+    success: float
+    perturbed: float
     curves: RunCurves
 
 
@@ -75,6 +87,8 @@ def _read(folder: Path, arm: str, task: str, seed: int) -> Result:
     cap = int(config["max_interactions"])
     solved = bool(summary["solved"]) and summary["interactions"] <= cap
     within = curves.columns["interactions"] < cap
+    plain, perturbed = read_evaluation(folder) or ({}, {})
+    asked = summary.get("intervention", {}).get("asked", 0)
     return Result(
         arm=arm,
         task=task,
@@ -85,6 +99,11 @@ def _read(folder: Path, arm: str, task: str, seed: int) -> Result:
         cap=cap,
         score=area_under_success(curves.columns["interactions"][within], curves.columns["success"][within], cap),
         wall_s=float(summary["wall_s"]),
+        updates=int(summary.get("gradient_steps", 0)),
+        own_share=summary["intervention"]["own_used"] / asked if asked else math.nan,
+        length=float(plain.get("mean_length", math.nan)),
+        success=float(plain.get("success_rate", math.nan)),
+        perturbed=float(perturbed.get("success_rate", math.nan)),
         curves=curves,
     )
 
@@ -97,8 +116,9 @@ def keep(experiment: Experiment, root: Path, kept: Path) -> int:
         target = kept / experiment.name / result.arm / source.name
         shutil.rmtree(target, ignore_errors=True)
         for name in KEPT:
-            (target / name).parent.mkdir(parents=True, exist_ok=True)
-            shutil.copyfile(source / name, target / name)
+            if (source / name).exists():
+                (target / name).parent.mkdir(parents=True, exist_ok=True)
+                shutil.copyfile(source / name, target / name)
     return len(results)
 
 

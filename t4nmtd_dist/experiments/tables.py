@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+import math
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 
 import numpy as np
 
-from t4nmtd_dist.experiments.arms import Experiment
+from t4nmtd_dist.experiments.arms import PAPER, Experiment
 from t4nmtd_dist.experiments.results import Result, by_arm, caps, scores, times
 from t4nmtd_dist.statistics.bootstrap import Estimate
 from t4nmtd_dist.statistics.censoring import kaplan_meier_median, restricted_mean
@@ -18,7 +19,11 @@ from t4nmtd_dist.statistics.scores import interquartile_mean, optimality_gap
 SEED = 0  # of all bootstraps: the same results always make the same table
 PER_TASK = (
     "task", "arm", "solved", "95 % interval", "converged", "median interactions", "mean up to the cap", "cap", "score",
-    "wall s",
+    "success", "perturbed", "wall s",
+)  # fmt: skip
+PER_RUN = (
+    "task", "arm", "seed", "solved", "interactions", "of the paper's", "wall s", "updates", "length", "success",
+    "perturbed", "own critic used",
 )  # fmt: skip
 OVERALL = ("arm", "tasks", "IQM of scores", "optimality gap", "{first} better with probability", "p (Holm)", "verdict")
 RATIOS = ("arm", "tasks", "median interactions against {first}", "95 % interval")
@@ -32,6 +37,44 @@ def tables(experiment: Experiment, results: Sequence[Result]) -> str:
     lines += [*_overall(experiment, found), ""]
     lines += _ratios(experiment, found)
     return "\n".join(lines).rstrip() + "\n"
+
+
+def run_table(results: Sequence[Result]) -> str:
+    """One row for every run, and the means over the seeds of every task and arm; costs are means of the solved runs."""
+    lines = list(_head(PER_RUN))
+    for arm, tasks in by_arm(results).items():
+        for task, runs in tasks.items():
+            lines += [
+                _row(task, arm, run.seed, "yes" if run.solved else "no", *_run_cells(task, [run])) for run in runs
+            ]
+            solved = sum(run.solved for run in runs)
+            lines.append(_row(task, arm, "mean", f"{solved} of {len(runs)}", *_run_cells(task, runs)))
+    return "\n".join(lines) + "\n"
+
+
+def _run_cells(task: str, runs: Sequence[Result]) -> list[str]:
+    solved = [run for run in runs if run.solved]
+    spent = _mean(run.interactions for run in solved)
+    return [
+        _or_dash(spent, ",.0f"),
+        _or_dash(spent / PAPER.get(task, math.nan), ".1%"),
+        _or_dash(_mean(run.wall_s for run in solved), ".0f"),
+        _or_dash(_mean(run.updates for run in solved), ",.0f"),
+        _or_dash(_mean(run.length for run in solved), ".0f"),
+        _or_dash(_mean(run.success for run in runs), ".0%"),
+        _or_dash(_mean(run.perturbed for run in runs), ".0%"),
+        _or_dash(_mean(run.own_share for run in runs), ".1%"),
+    ]
+
+
+def _mean(values: Iterable[float]) -> float:
+    """The mean of those that are known; nan if there are none."""
+    known = [value for value in values if not math.isnan(value)]
+    return sum(known) / len(known) if known else math.nan
+
+
+def _or_dash(value: float, form: str) -> str:
+    return "-" if math.isnan(value) else f"{value:{form}}"
 
 
 def _per_task(found: Mapping[str, Mapping[str, Sequence[Result]]]) -> Iterator[str]:
@@ -56,6 +99,8 @@ def _cells(runs: Sequence[Result]) -> list[str]:
         _with_interval(mean, ",.0f") if any(solved) else "-",
         f"{cap:,}",
         f"{np.mean([run.score for run in runs]):.2f}",
+        _or_dash(_mean(run.success for run in runs), ".0%"),
+        _or_dash(_mean(run.perturbed for run in runs), ".0%"),
         f"{np.mean([run.wall_s for run in runs]):.0f}",
     ]
 
@@ -128,5 +173,5 @@ def _head(titles: Sequence[str]) -> Iterator[str]:
     yield "|---" * len(titles) + "|"
 
 
-def _row(*cells: str) -> str:
-    return f"| {' | '.join(cells)} |"
+def _row(*cells: object) -> str:
+    return f"| {' | '.join(map(str, cells))} |"
