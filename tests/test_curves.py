@@ -116,7 +116,7 @@ def test_the_same_runs_always_have_the_same_interval() -> None:
 
 
 def test_a_run_directory_and_its_copy_in_the_results_read_alike(tmp_path: Path) -> None:
-    kept = RESULTS / "task7-s0"
+    kept = RESULTS / "tasks" / "t4nmtd" / "task7-s0"
     (tmp_path / "metrics").mkdir()
     shutil.copy(kept / "evaluations.csv", tmp_path / "metrics")
     shutil.copy(kept / "summary.json", tmp_path)
