@@ -6,6 +6,7 @@ With ``STORED`` its modules start in the states that others reached, else at the
 from __future__ import annotations
 
 from collections.abc import Collection, Iterable, Sequence
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -14,6 +15,7 @@ from numpy.typing import NDArray
 from t4nmtd_dist.automata.deadline import Deadline
 from t4nmtd_dist.automata.dfa import DFA
 from t4nmtd_dist.core.config import TaskConfig
+from t4nmtd_dist.core.setting_types import CountOrZero
 from t4nmtd_dist.method import t4nmtd
 from t4nmtd_dist.method.decomposition import Decomposition
 from t4nmtd_dist.method.protocol import Change, Ending, Mask, Reading, States, Unstaged
@@ -31,10 +33,26 @@ def decompose(config: TaskConfig, dfa: DFA, *, seed: int, deadline: Deadline | N
     return Decomposition({f"q{q}": [tau for tau in transitions if tau[0] == q] for q, _ in transitions})
 
 
+@dataclass(frozen=True)
+class ModularConfig:
+    """The section ``[modular]``."""
+
+    spare_modules: CountOrZero = 0
+
+
+CONFIG = ModularConfig
+
+
 class Modular(Unstaged):
+    shares_env = False
+
     def __init__(self, config: TaskConfig, dfa: DFA, decomposition: Decomposition, rho: NDArray[np.float64]) -> None:
         self._roles = {pid: role_of(config, dfa, decomposition, rho, pid) for pid in decomposition.pids}
         self.reported: list[tuple[str, Change]] = []
+
+    @property
+    def roles(self) -> tuple[str, ...]:
+        return tuple(self._roles)
 
     def role(self, name: str) -> Role:
         return self._roles[name]

@@ -20,8 +20,9 @@ from small_tasks import CARRYING_2, START, TINY, TO_PASSENGER_2, small_learner, 
 from coordinator.run_settings import RunSettings
 from t4nmtd_dist.agents.common.peer_values import LocalPeers, NoPeers, Questions
 from t4nmtd_dist.agents.common.successors import draw_successors
-from t4nmtd_dist.core.config import TaskConfig
+from t4nmtd_dist.core.config import TaskConfig, task_config
 from t4nmtd_dist.core.errors import ConfigError
+from t4nmtd_dist.core.method_settings import method_configs
 from t4nmtd_dist.core.registry import METHODS
 from t4nmtd_dist.launch.serial import SerialRun
 from t4nmtd_dist.method.compiled import compile_task
@@ -42,9 +43,11 @@ def run_of(*flags: str, name: str = "task7") -> SerialRun:
 
 
 @pytest.fixture
-def modular(monkeypatch: pytest.MonkeyPatch) -> pytest.MonkeyPatch:
+def modular(monkeypatch: pytest.MonkeyPatch, request: pytest.FixtureRequest) -> pytest.MonkeyPatch:
     """A third method ``modular``: one registry line, nothing else."""
     monkeypatch.setitem(METHODS.modules, "modular", "modular_method")  # type: ignore[arg-type]
+    method_configs.cache_clear()
+    request.addfinalizer(method_configs.cache_clear)
     return monkeypatch
 
 
@@ -61,14 +64,19 @@ def test_an_unknown_method_is_refused_with_the_known_ones(name: str, advice: str
 
 @pytest.mark.parametrize("name", METHODS.names())
 def test_every_registered_method_decomposes_and_chooses(name: str) -> None:
-    task = compile_task(config_of(f"learner.method={name}"))
+    task = compile_task(load_task("task7", method=name))
     method = task.method()
     chosen = method.choose(range(task.dfa.states))
-    assert {q for q, pid in enumerate(chosen) if pid is not None} == {q for q, _ in task.decomposition.transitions}
-    for pid in task.decomposition.pids:
-        role = method.role(pid)
-        assert role.name == pid
-        assert {tuple(tau) for tau in np.argwhere(role.tables.target).tolist()} == set(task.decomposition.subtasks[pid])
+    assert {q for q, role in enumerate(chosen) if role is not None} == {q for q, _ in task.decomposition.transitions}
+    targets = {name: set(map(tuple, np.argwhere(method.role(name).tables.target).tolist())) for name in method.roles}
+    assert set.union(*targets.values()) == set(task.decomposition.transitions)
+    assert method.shares_env == (task.decomposition.pids == ("policies",))
+    if not method.shares_env:
+        assert targets == {pid: set(transitions) for pid, transitions in task.decomposition.subtasks.items()}
+    networks = {method.role(name).network for name in method.roles}
+    assert len(networks) in (1, len(method.roles))
+    goals = [method.role(name).goal for name in method.roles]
+    assert goals == ([None] * len(goals) if len(networks) == len(goals) else list(range(len(goals))))
 
 
 # Random decomposition
@@ -248,6 +256,17 @@ def test_a_module_per_state_trains_from_stored_states_to_the_end_of_a_serial_run
     assert {(role, change.q) for role, change in told if role != f"q{change.q}"} == set()
     assert run.coordinator.interactions == sum(s.learner.rollout.interactions for s in run.sessions.values())
     assert run.coordinator.evaluations.history
+
+
+def test_a_method_brings_its_own_settings(modular: pytest.MonkeyPatch) -> None:
+    config = load_task("task7", flags=["learner.method=modular", "modular.spare_modules=2"])
+    assert config.method == modular_method.ModularConfig(2)
+    assert task_config(config.to_dict()) == config
+    assert load_task("task7").method is None
+    with pytest.raises(ConfigError, match=r"modular.spare_modules = -1: expected"):
+        load_task("task7", flags=["modular.spare_modules=-1"])
+    with pytest.raises(ConfigError, match=r"unknown key 'modular.spare'; did you mean 'modular.spare_modules'\?"):
+        load_task("task7", flags=["modular.spare=1"])
 
 
 def test_a_module_that_only_starts_at_the_reset_stores_nothing_and_the_others_wait(modular: pytest.MonkeyPatch) -> None:

@@ -13,7 +13,7 @@ from t4nmtd_dist.tasks.layers import DEFAULT, Key, Layer, origin
 
 
 def settings_text(config: TaskConfig, layers: Sequence[Layer]) -> str:
-    """TOML for ``--config`` with a comment on every line, and the chosen agent's section only.
+    """TOML for ``--config`` with a comment on every line, and the sections of the chosen agent and method only.
 
     With algorithm ``auto`` it includes every agent's section, and comments out settings that agents have own defaults
     for, because a file would override those.
@@ -24,6 +24,7 @@ def settings_text(config: TaskConfig, layers: Sequence[Layer]) -> str:
     """
     chosen = config.learner.algorithm
     others = AGENTS.modules.keys() - {chosen} if chosen != "auto" else set()
+    others |= config.methods.keys() - {config.learner.method}
     data = {name: value for name, value in config.to_dict().items() if name not in others}
     return "\n".join(_table(data, (), config, layers)) + "\n"
 

@@ -15,6 +15,8 @@ from typing import Any, Literal
 from t4nmtd_dist.core.action_modes import EvaluationActions
 from t4nmtd_dist.core.agent_settings import agent_settings, default_sections
 from t4nmtd_dist.core.errors import ConfigError
+from t4nmtd_dist.core.method_settings import default_sections as default_method_sections
+from t4nmtd_dist.core.method_settings import method_configs
 from t4nmtd_dist.core.registry import AGENTS, METHODS
 from t4nmtd_dist.core.sections import check_ranges, hints, plain, read_section
 from t4nmtd_dist.core.setting_sources import merge
@@ -103,29 +105,6 @@ class HighLevelConfig:
 
 
 @dataclass(frozen=True)
-class LSTSConfig:
-    """LSTS, for ``learner.method = "lsts"``.
-
-    Attributes:
-        slice_attempts: attempts of an edge between two choices of the teacher.
-    """
-
-    slice_attempts: Count = 50
-
-
-@dataclass(frozen=True)
-class DIRLConfig:
-    """DIRL, for ``learner.method = "dirl"``.
-
-    Attributes:
-        edge_interactions: interactions after which the training of an edge ends; 0 for ``max_interactions`` divided by
-            the number of edges.
-    """
-
-    edge_interactions: CountOrZero = 0
-
-
-@dataclass(frozen=True)
 class LearnerConfig:
     """Settings shared by all learners.
 
@@ -204,7 +183,8 @@ class TaskConfig:
     Attributes:
         acceptance: ``first`` ends an episode at the first accepting state, ``end`` evaluates the whole episode
             (docs/acceptance.md); ``auto`` decides by the automaton and is resolved in a compiled task.
-        agents: settings of every registered agent by name; in a task file, the section ``[<name>]``.
+        methods: settings of every method that has some, by name; in a task file, the section ``[<name>]``.
+        agents: the same of every registered agent.
         learner_given: keys given in the section ``[learner]``; an algorithm chosen later supplies its defaults for the
             others. Not a setting and not in ``to_dict``.
     """
@@ -219,8 +199,7 @@ class TaskConfig:
     max_interactions: Count = 5_000_000
     decomposition: DecompositionConfig = DecompositionConfig()
     high_level: HighLevelConfig = HighLevelConfig()
-    lsts: LSTSConfig = LSTSConfig()
-    dirl: DIRLConfig = DIRLConfig()
+    methods: Mapping[str, Any] = field(default_factory=default_method_sections)
     learner: LearnerConfig = LearnerConfig()
     agents: Mapping[str, Any] = field(default_factory=default_sections)
     evaluation: EvaluationConfig = EvaluationConfig()
@@ -233,6 +212,8 @@ class TaskConfig:
         for name, section in self.agents.items():
             check_ranges(section, name)
             agent_settings(name).check(section, self.learner)
+        for name, section in self.methods.items():
+            check_ranges(section, name)
         _check_groups(self)
         _check_names(self)
 
@@ -247,12 +228,18 @@ class TaskConfig:
             raise ConfigError('learner.algorithm = "auto" is not decided yet: pass the task through prepared() first')
         return self.agents[self.learner.algorithm]
 
+    @property
+    def method(self) -> Any:
+        """Settings of the chosen method: an instance of its module's ``CONFIG``; None if it has none."""
+        return self.methods.get(self.learner.method)
+
     def to_dict(self) -> dict[str, Any]:
         """Plain data for ``task_config``; fit for TOML and the wire."""
         whole: dict[str, Any] = plain(self)
         del whole["learner_given"]
         agents: dict[str, Any] = whole.pop("agents")
-        return whole | agents
+        methods: dict[str, Any] = whole.pop("methods")
+        return whole | methods | agents
 
 
 def check_algorithm(name: str) -> None:
@@ -300,7 +287,10 @@ def _from_known_keys(data: Mapping[str, Any]) -> TaskConfig:
     agents: dict[str, Any] = {
         name: read_section(agent_settings(name).config, data.get(name, {}), name) for name in AGENTS.modules
     }
-    own = {"agents": agents, "learner_given": list(learner)}
+    methods: dict[str, Any] = {
+        name: read_section(config, data.get(name, {}), name) for name, config in method_configs().items()
+    }
+    own = {"agents": agents, "methods": methods, "learner_given": list(learner)}
     return read_section(TaskConfig, merge({"learner": learner_defaults(learner.get("algorithm"))}, data) | own)
 
 
@@ -313,8 +303,8 @@ def _known_keys(kind: Any) -> Mapping[str, Any]:
     """Keys of a section and their types."""
     found = dict(hints(kind))
     if kind is TaskConfig:
-        del found["learner_given"], found["agents"]
-        found |= {name: agent_settings(name).config for name in AGENTS.modules}
+        del found["learner_given"], found["agents"], found["methods"]
+        found |= {name: agent_settings(name).config for name in AGENTS.modules} | {**method_configs()}
     return found
 
 

@@ -13,12 +13,13 @@ from numpy.typing import NDArray
 from t4nmtd_dist.automata.dfa import DFA
 from t4nmtd_dist.core.config import TaskConfig, task_config
 from t4nmtd_dist.core.errors import ConfigError, PolicyError
+from t4nmtd_dist.core.method_settings import method_configs
 from t4nmtd_dist.core.registry import AGENTS
 from t4nmtd_dist.method.decomposition import Decomposition
 from t4nmtd_dist.policy.export import ACTORS_FILE, POLICY_FILE, POLICY_FORMAT, read_export
 from t4nmtd_dist.policy.global_policy import ActorWeights, GlobalPolicy
 
-TRAINING_KEYS = {"max_interactions", "decomposition", "high_level", "lsts", "dirl", "evaluation", *AGENTS.modules}
+TRAINING_KEYS = {"max_interactions", "decomposition", "high_level", "evaluation", *AGENTS.modules}
 ACTING_LEARNER_KEYS = {"method", "algorithm", "gamma", "hidden", "normalise_observations"}
 
 
@@ -70,7 +71,8 @@ def _restored(data: Mapping[str, Any], actors: ActorWeights, folder: Path, seed:
 def _acting_settings(task: Mapping[str, Any]) -> dict[str, Any]:
     """A task's settings without the training settings, which change between versions."""
     learner = {key: value for key, value in task["learner"].items() if key in ACTING_LEARNER_KEYS}
-    return {key: value for key, value in task.items() if key not in TRAINING_KEYS} | {"learner": learner}
+    training = TRAINING_KEYS | method_configs().keys()
+    return {key: value for key, value in task.items() if key not in training} | {"learner": learner}
 
 
 def _read(path: Path) -> tuple[Path, Any, dict[str, NDArray[Any]]]:
