@@ -111,10 +111,10 @@ def test_every_run_has_a_folder_of_its_own_and_seeds_are_paired(tmp_path: Path) 
     jobs = [
         job
         for each in EXPERIMENTS.values()
-        for job in make_jobs(each, each.arms, task_names(), range(3), tmp_path, cap_share=0.1)
+        for job in make_jobs(each, each.arms, task_names(), range(3), tmp_path, quick=True)
     ]
     assert len({job.folder for job in jobs}) == len(jobs)
-    assert {job.cap for job in jobs if job.task == "task7"} == {80_000}
+    assert {job.cap for job in jobs if job.task == "task7"} == {16_000}
     assert [job.seed for job in jobs if "intervention/" in str(job.folder)][:5] == [0] * 5
 
 
@@ -252,7 +252,7 @@ def test_a_run_that_cannot_start_is_told_with_its_last_words_and_the_others_go_o
     told: list[str] = []
     jobs = [
         Job(arm, "task7", 0, 500, tmp_path / "wrong", ("learner.method=nope",)),
-        Job(arm, "task7", 1, 500, tmp_path / "right"),
+        Job(arm, "task7", 1, 500, tmp_path / "right", ("ppo.rollout=16", "evaluation.every=100")),
     ]
     queue = JobQueue(jobs, parallel=1, tell=told.append)
     while queue.turn():
@@ -262,6 +262,8 @@ def test_a_run_that_cannot_start_is_told_with_its_last_words_and_the_others_go_o
     assert "exit code 2; t4nmtd: " in queue.failed["t4nmtd task7 seed 0"]
     assert "unknown method 'nope'" in told[0]
     assert jobs[1].ended
+    plain, perturbed = read_evaluation(jobs[1].folder) or ({}, {})
+    assert (plain["episodes"], perturbed["episodes"]) == (100, 100)
 
 
 @pytest.mark.training
@@ -283,6 +285,3 @@ def test_an_experiment_that_was_stopped_goes_on_and_ends_with_tables(commands: P
     third = commands.start("t4nmtd", *command)
     assert third.wait(END_S) == 0
     assert "4 of 4 runs have ended" in third.err
-    for folder in (root / "quick" / "decomposition").glob("*/task7-s*/"):
-        plain, perturbed = read_evaluation(folder) or ({}, {})
-        assert (plain["episodes"], perturbed["episodes"]) == (100, 100)

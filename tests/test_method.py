@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Collection
+from collections.abc import Collection, Iterator
 from typing import Any
 
 import modular_method
@@ -43,12 +43,12 @@ def run_of(*flags: str, name: str = "task7") -> SerialRun:
 
 
 @pytest.fixture
-def modular(monkeypatch: pytest.MonkeyPatch, request: pytest.FixtureRequest) -> pytest.MonkeyPatch:
+def modular(monkeypatch: pytest.MonkeyPatch) -> Iterator[pytest.MonkeyPatch]:
     """A third method ``modular``: one registry line, nothing else."""
     monkeypatch.setitem(METHODS.modules, "modular", "modular_method")  # type: ignore[arg-type]
     method_configs.cache_clear()
-    request.addfinalizer(method_configs.cache_clear)
-    return monkeypatch
+    yield monkeypatch
+    method_configs.cache_clear()
 
 
 # Names

@@ -17,7 +17,7 @@ from t4nmtd_dist.experiments.results import by_arm, keep, read_results
 from t4nmtd_dist.experiments.tables import run_table, tables
 from t4nmtd_dist.process.signals import noted_signals
 
-QUICK_TASKS, QUICK_SEEDS, QUICK_CAP_SHARE = ("task5", "task7"), (0, 1), 0.1
+QUICK_TASKS, QUICK_SEEDS = ("task5", "task7"), (0, 1)
 QUICK_FOLDER = "quick"
 STOPPED = 130
 
@@ -45,8 +45,7 @@ def run_experiment(
     wanted_tasks = check_tasks(tasks or (QUICK_TASKS if quick else ()))
     wanted_seeds = QUICK_SEEDS if quick else parse_seeds(seeds)
     root = root / QUICK_FOLDER if quick else root
-    share = QUICK_CAP_SHARE if quick else 1.0
-    planned = make_jobs(chosen, chosen.chosen(arms), wanted_tasks, wanted_seeds, root, cap_share=share)
+    planned = make_jobs(chosen, chosen.chosen(arms), wanted_tasks, wanted_seeds, root, quick=quick)
     queue = JobQueue(planned, parallel=jobs, launcher=launcher, tell=_say)
     stopped = _see_through(queue)
     _say(f"{queue.ended} of {queue.total} runs have ended; results in {root / name}")

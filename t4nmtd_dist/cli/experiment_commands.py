@@ -29,7 +29,7 @@ class Run:
     launcher: str = "serial"
     """How each run is started: serial is one process per run, bit-reproducible."""
     quick: bool = False
-    """Tasks 5 and 7, two seeds and a tenth of the caps, in a folder of its own; to see that everything works."""
+    """Tasks 5 and 7, two seeds and a fiftieth of the caps, in a folder of its own; to see that everything works."""
     root: Path = ROOT
     """Folder of all experiments."""
 

@@ -25,6 +25,8 @@ POLL_S = 0.2
 END_S = 60.0
 LOG_FILE = "train.log"
 CHECKPOINT_EVERY_S = "60"
+QUICK_CAP_SHARE = 0.02
+QUICK_SETTINGS = ("evaluation.every=1000",)
 
 
 @dataclass(frozen=True)
@@ -36,6 +38,7 @@ class Job:
         folder: its run directory, named after experiment, arm, task and seed.
         settings: ``key=value`` for ``--set``.
         source: run whose networks are transferred; the job waits for it.
+        evaluates: whether its policy plays further episodes at the end (``final_evaluation``).
     """
 
     arm: Arm
@@ -45,6 +48,7 @@ class Job:
     folder: Path
     settings: tuple[str, ...] = ()
     source: Path | None = None
+    evaluates: bool = True
 
     @property
     def name(self) -> str:
@@ -58,8 +62,8 @@ class Job:
 
     @property
     def ended(self) -> bool:
-        """Whether it was trained and its policy evaluated."""
-        return self.trained and (self.folder / EVALUATION_FILE).exists()
+        """Whether it was trained and, if wanted, its policy evaluated."""
+        return self.trained and (not self.evaluates or (self.folder / EVALUATION_FILE).exists())
 
     def command(self, launcher: str) -> list[str]:
         """Begin the run, resume it from its checkpoints, or evaluate its policy."""
@@ -92,7 +96,7 @@ def make_jobs(
     seeds: Sequence[int],
     root: Path,
     *,
-    cap_share: float = 1.0,
+    quick: bool = False,
 ) -> list[Job]:
     """All jobs of an experiment, seed by seed, so that an unfinished queue has few seeds of everything.
 
@@ -104,7 +108,7 @@ def make_jobs(
         tasks: names of bundled tasks.
         seeds: of the runs; arms are paired by them.
         root: of all experiments.
-        cap_share: factor on the caps.
+        quick: with a fraction of the caps, frequent evaluations, and none at the end.
     """
     home = root / experiment.name
     wanted = {(arm, task): None for task in tasks for arm in arms if applies(arm, load_task(task))}
@@ -115,10 +119,11 @@ def make_jobs(
             arm,
             task,
             seed,
-            round(CAPS[task] * cap_share),
+            round(CAPS[task] * (QUICK_CAP_SHARE if quick else 1.0)),
             home / arm.name / f"{task}-s{seed}",
-            (*arm.settings, *experiment.by_task.get(task, ())),
+            (*arm.settings, *experiment.by_task.get(task, ()), *(QUICK_SETTINGS if quick else ())),
             home / arm.source / f"{PAIRS[task]}-s{seed}" if arm.source else None,
+            not quick,
         )
         for seed in seeds
         for arm, task in sources | wanted
