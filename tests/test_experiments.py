@@ -224,8 +224,11 @@ def test_there_is_a_row_for_every_run_and_their_means(results: Path) -> None:
 
 
 def test_every_task_gets_a_picture(results: Path, tmp_path: Path) -> None:
-    assert plot_curves("intervention", results, tmp_path) == 0
-    assert (tmp_path / "intervention-task7.svg").read_text(encoding="utf-8").startswith("<?xml")
+    out = tmp_path / "new" / "figures"
+    assert plot_curves("intervention", results, out) == 0
+    assert (out / "intervention-task7.svg").read_text(encoding="utf-8").startswith("<?xml")
+    with pytest.raises(ConfigError, match=r"--out .*svg: .*; give a folder"):
+        plot_curves("intervention", results, out / "intervention-task7.svg")
 
 
 def test_no_results_and_mixed_budgets_are_refused(results: Path, tmp_path: Path) -> None:
@@ -252,7 +255,7 @@ def test_a_run_that_cannot_start_is_told_with_its_last_words_and_the_others_go_o
     told: list[str] = []
     jobs = [
         Job(arm, "task7", 0, 500, tmp_path / "wrong", ("learner.method=nope",)),
-        Job(arm, "task7", 1, 500, tmp_path / "right", ("ppo.rollout=16", "evaluation.every=100")),
+        Job(arm, "task7", 1, 4000, tmp_path / "right", ("evaluation.every=1000",)),
     ]
     queue = JobQueue(jobs, parallel=1, tell=told.append)
     while queue.turn():

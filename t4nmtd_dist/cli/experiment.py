@@ -92,7 +92,7 @@ def print_tables(name: str, root: Path, kept: Path | None, *, runs: bool = False
 
 
 def plot_curves(name: str, root: Path, out: Path) -> int:
-    """Draw one picture for every task; returns the exit code.
+    """Draw one picture for every task into a folder, which is made if missing; returns the exit code.
 
     Raises:
         ConfigError: for an unknown experiment, or if a picture cannot be written.
@@ -102,11 +102,20 @@ def plot_curves(name: str, root: Path, out: Path) -> int:
     found = by_arm(read_results(chosen, root))
     for task in sorted({task for tasks in found.values() for task in tasks}):
         groups = {arm: [run.curves for run in tasks[task]] for arm, tasks in found.items() if task in tasks}
-        file = out / f"{name}-{task}.svg"
+        file = _in_folder(out) / f"{name}-{task}.svg"
         check_out(file)
         save(draw(groups, ("interactions",), ("success", "length")), file)
         print(file)
     return 0
+
+
+def _in_folder(folder: Path) -> Path:
+    """The folder, made if it is missing."""
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise ConfigError(f"--out {folder}: {error.strerror}; give a folder that can be written") from None
+    return folder
 
 
 def parse_seeds(text: str) -> tuple[int, ...]:
