@@ -12,7 +12,7 @@ from PIL import Image
 from t4nmtd_dist.cli.plot import draw, grouped, plot
 from t4nmtd_dist.core.errors import ConfigError, RunError, T4NMTDError
 
-RESULTS = Path(__file__).parent.parent / "benchmarks" / "results"
+RESULTS = Path(__file__).parent.parent / "benchmarks" / "results" / "tasks" / "t4nmtd"
 TASK7 = [RESULTS / f"task7-s{seed}" for seed in range(3)]
 TASK8 = [RESULTS / f"task8-s{seed}" for seed in range(2)]
 

@@ -105,15 +105,15 @@ def test_what_is_stored_is_what_happened() -> None:
 
 def test_exploration_is_decided_when_an_attempt_begins_and_at_no_other_time() -> None:
     learner = small_sac("g1", "learner.attempt_steps=4", "sac.learning_starts=400", starts=((START, AT_G1),))
-    told: list[tuple[list[bool], float]] = []
+    told: list[tuple[list[int], float]] = []
     for exploration in (learner.agent._exploration._sinusoid, learner.agent._exploration._held):
-        exploration.begin = lambda copies, success: told.append((copies.tolist(), success))  # type: ignore
+        exploration.begin = lambda rows, success: told.append((rows.tolist(), success))  # type: ignore
     learner.iterate(NoPeers())
     learner.iterate(NoPeers())
     assert told[::2] == told[1::2], "both kinds are told the same"
     told = told[::2]
-    ended = learner.replay_buffer.ended[:40].reshape(20, 2).tolist()
-    assert [copies for copies, _ in told] == [[True, True], *ended[:-1]]
+    ended = [np.flatnonzero(copies).tolist() for copies in learner.replay_buffer.ended[:40].reshape(20, 2)]
+    assert [rows for rows, _ in told] == [[0, 1], *ended[:-1]]
     assert told[0][1] == 0.0
     assert told[-1][1] > 0, "half of the attempts begin in the target"
 

@@ -8,13 +8,12 @@ the folders. The coordinator imports ``config`` and ``shapes``, so these import 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import Any, Protocol
+from typing import TYPE_CHECKING, Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
 from t4nmtd_dist.agents.common.context import AgentContext
-from t4nmtd_dist.agents.common.off_policy import OffPolicyAgent
 from t4nmtd_dist.agents.common.peer_values import PeerCritics, Values
 from t4nmtd_dist.agents.common.rehearsal import GreedyActor
 from t4nmtd_dist.agents.common.replay_buffer import ReplayBuffer
@@ -23,6 +22,9 @@ from t4nmtd_dist.agents.weights import Shapes, Weights
 from t4nmtd_dist.core.config import TaskConfig
 from t4nmtd_dist.core.state_dict import State
 from t4nmtd_dist.environments.batched import Observations
+
+if TYPE_CHECKING:
+    from t4nmtd_dist.agents.common.off_policy import OffPolicyAgent  # imports torch
 
 Actions = NDArray[Any]
 
