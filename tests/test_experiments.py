@@ -223,6 +223,7 @@ def test_there_is_a_row_for_every_run_and_their_means(results: Path) -> None:
         read_results(chosen, results)
 
 
+@pytest.mark.slow
 def test_every_task_gets_a_picture(results: Path, tmp_path: Path) -> None:
     out = tmp_path / "new" / "figures"
     assert plot_curves("intervention", results, out) == 0

@@ -36,6 +36,7 @@ def role_rows_of(learner: SharedLearner) -> RoleRows:
 # Runs
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["task7", "task5"])
 @pytest.mark.parametrize("method", SHARED)
 def test_a_run_learns_evaluates_and_goes_on_bit_for_bit(method: str, name: str) -> None:

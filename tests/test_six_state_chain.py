@@ -14,6 +14,8 @@ from tabular import UpperTable
 
 from t4nmtd_dist.method.options import LinearSchedule, OpenOptions
 
+pytestmark = pytest.mark.slow
+
 START, FIRST, LAST = 2, 1, 6
 GOALS = [str(state) for state in range(FIRST, LAST + 1)]
 EPISODES = 12_000

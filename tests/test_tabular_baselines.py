@@ -110,18 +110,21 @@ def test_mod_is_product_bit_for_bit(seed: int) -> None:
             assert mod.table(f"q{q}", q) == product.table("policies", q)
 
 
+@pytest.mark.slow
 def test_mod_learns_the_office_only_after_50_000_steps() -> None:
     for early, late in office_scores(Tabular, "mod", 50_000, 75_000):
         assert early <= 0.06
         assert 0.6 <= late <= 0.8
 
 
+@pytest.mark.slow
 def test_a_leaving_modules_own_value_is_myopic() -> None:
     for early, late in office_scores(LeavingModule, "mod", 50_000, 75_000):
         assert 0.5 <= early <= 0.66
         assert late <= 0.66
 
 
+@pytest.mark.slow
 def test_without_a_value_beyond_the_change_nothing_is_learned() -> None:
     for (score,) in office_scores(CutAtChange, "mod", 75_000):
         assert score <= 0.01
@@ -130,6 +133,7 @@ def test_without_a_value_beyond_the_change_nothing_is_learned() -> None:
 # QRM and CRM
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("method", ["crm", "qrm"])
 def test_relabelling_learns_the_office_in_half_the_steps(method: str) -> None:
     for early, late in office_scores(Tabular, method, 25_000, 50_000):
@@ -142,6 +146,7 @@ def test_ends_that_were_not_met_must_be_learned_too() -> None:
         assert score <= 0.2
 
 
+@pytest.mark.slow
 def test_a_copied_reward_teaches_nothing() -> None:
     for (score,) in office_scores(CopiedReward, "crm", 75_000):
         assert score <= 0.01
@@ -181,11 +186,13 @@ def test_a_leaving_modules_own_value_levels_off_in_the_craft_world() -> None:
 # HRM
 
 
+@pytest.mark.slow
 def test_hrm_learns_the_office_within_25_000_steps() -> None:
     for (score,) in office_scores(Tabular, "hrm", 25_000):
         assert 0.5 <= score <= 0.72
 
 
+@pytest.mark.slow
 def test_an_option_must_end_at_a_wrong_transition() -> None:
     for (score,) in office_scores(WrongExitGoesOn, "hrm", 25_000, seeds=(0,)):
         assert score <= 0.01
